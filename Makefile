@@ -1,0 +1,26 @@
+# A fresh machine needs Python 3.11 or newer, make, gcc and a package index.
+PYTHON ?= python3
+VENV ?= .venv
+# The index serves CUDA builds to whoever asks for the newest torch; a machine with its own torch keeps it.
+TORCH ?= torch==2.13.0
+PYTEST_ARGS ?= -m "not slow"
+
+.PHONY: install demo test lint
+install: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml
+	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -c "import torch" 2>/dev/null || $(VENV)/bin/python -m pip install --progress-bar off "$(TORCH)"
+	$(VENV)/bin/python -m pip install --progress-bar off -e ".[dev]"
+	touch $@
+
+demo: install
+	$(VENV)/bin/python train.py
+
+test: install
+	$(VENV)/bin/python -m pytest $(PYTEST_ARGS)
+
+lint: install
+	$(VENV)/bin/python -m ruff check .
+	$(VENV)/bin/python -m ruff format --check .
+	$(VENV)/bin/python -m mypy

@@ -1,0 +1,176 @@
+"""Composes the objects of a run from its settings, runs the stages, evaluates, reports."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from omegaconf import DictConfig
+
+from occfusion import plan as planning
+from occfusion.compose import make_body, make_data
+from occfusion.config import Settings, load_settings, stages_to_run
+from occfusion.data.handful import held_out_handful
+from occfusion.data.module import HumanDataModule
+from occfusion.evaluation_run import evaluate_run
+from occfusion.files.atomic import write_json
+from occfusion.human import Avatar, load_avatar, save_avatar
+from occfusion.human.densify import Densifier
+from occfusion.perceptual import PerceptualMetric, load_perceptual
+from occfusion.render import render_frame
+from occfusion.report import write_report
+from occfusion.tables import print_summary
+from occfusion.runfolder import claim_run_folder
+from occfusion.splat import resolve_backend
+from occfusion.stages.checkpointing import Checkpointing, resumable
+from occfusion.stages.curve import ErrorCurve
+from occfusion.stages.interruption import Interrupted, SignalGuard
+from occfusion.stages.optim import OptimStage
+from occfusion.stages.progress import ProgressLine
+from occfusion.types import Frame, Rendering
+
+
+@dataclass
+class Run:
+    """The objects of one run."""
+
+    settings: Settings
+    folder: Path
+    data: HumanDataModule
+    avatar: Avatar
+    perceptual: PerceptualMetric | None
+    backend: str
+
+    def render(self, frame: Frame) -> Rendering:
+        """Returns the avatar as the frame's camera sees it."""
+        return render_frame(self.avatar, frame, self.backend)
+
+
+def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
+    """Runs what a composed configuration asks for and returns the content of `metrics.json`.
+
+    Raises:
+        OccfusionError: anything that the user can mend, before training where it can be known before.
+        Interrupted: a signal stopped it; the same command continues.
+    """
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    settings = load_settings(config)
+    L.seed_everything(settings.seed, verbose=False)
+    run_ = _compose(settings, folder_chosen_by_user)
+    for stage in stages_to_run(settings):
+        _run_stage(run_, stage)
+    metrics = evaluate_run(
+        run_.folder, run_.data, run_.render, settings, run_.perceptual,
+        gaussians=run_.avatar.gaussians.num_gaussians,
+    )  # fmt: skip
+    write_report(run_.folder)
+    print_summary(run_.folder, metrics)
+    return metrics
+
+
+def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
+    body = make_body(settings.body)
+    data = make_data(settings, body)
+    data.validate()
+    summary = data.summary()
+    backend = resolve_backend(settings.rasterizer.name, _device(settings), torch.float32)
+    folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
+    decisions = planning.make_plan(settings, summary, backend)
+    write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
+    perceptual = None
+    if settings.optim.lambda_lpips or settings.evaluation.perceptual:
+        perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
+    optim = settings.optim
+    avatar = Avatar(
+        body,
+        sh_degree=planning.reached_sh_degree(settings),
+        refine_pose=optim.refine_pose,
+        learn_skinning=optim.learn_skinning,
+        skinning_every=optim.skinning_every,
+        sh_frame=optim.sh_frame,
+    )
+    return Run(settings, folder, data, avatar, perceptual, backend)
+
+
+def _device(settings: Settings) -> torch.device:
+    accelerator = settings.trainer.accelerator
+    on_gpu = accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
+    return torch.device("cuda" if on_gpu else "cpu")
+
+
+def _run_stage(run_: Run, name: str) -> None:
+    """Trains a stage, or takes its result over when it is finished already."""
+    assert name == "optim"  # load_settings lets no other stage through yet
+    settings, folder = run_.settings, run_.folder / name
+    finished = folder / "avatar.safetensors"
+    if (folder / "stage.json").is_file() and finished.is_file():
+        print(f"{name}: finished before, taken from {folder}")
+        run_.avatar = load_avatar(finished, run_.avatar.body)
+        return
+    stage = OptimStage(
+        run_.avatar,
+        settings.optim,
+        perceptual=run_.perceptual if settings.optim.lambda_lpips else None,
+        densifier=_make_densifier(settings),
+        backend=run_.backend,
+        seed=settings.seed,
+    )
+    guard = SignalGuard()
+    callbacks: list[L.Callback] = [guard, Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every)]
+    if settings.evaluation.curve:
+        callbacks.append(_curve(run_))
+    if settings.trainer.enable_progress_bar:
+        callbacks.append(ProgressLine())
+    trainer = _trainer(settings, settings.optim.steps, callbacks)
+    checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
+    trainer.fit(stage, datamodule=run_.data, ckpt_path=checkpoint, weights_only=True)
+    if guard.received is not None and trainer.global_step < trainer.max_steps:
+        raise Interrupted(guard.received, str(folder / "last.ckpt"))
+    _hand_over(run_, folder, stage.clock.seconds, trainer.global_step)
+
+
+def _make_densifier(settings: Settings) -> Densifier | None:
+    optim = settings.optim
+    if not optim.densify:
+        return None
+    # the threshold belongs to a loss whose colour term has weight 1
+    return Densifier(optim.densification, loss_scale=optim.lambda_rgb or 1.0)
+
+
+def _hand_over(run_: Run, folder: Path, seconds: float, steps: int) -> None:
+    """Writes what later stages and users take from a finished stage; the record comes last, for it says "done"."""
+    avatar, pose = run_.avatar.eval(), run_.data.pose(run_.data.train_indices[0])
+    folder.mkdir(parents=True, exist_ok=True)
+    save_avatar(folder / "avatar.safetensors", avatar)
+    write_gaussians_ply(run_.folder / "point_cloud.ply", avatar.gaussians)
+    first_pose = {"betas": pose.betas.tolist(), "body_pose": pose.body_pose.tolist()}
+    write_json(folder / "stage.json", {"train_seconds": seconds, "steps": steps, "first_pose": first_pose})
+
+
+def _trainer(settings: Settings, steps: int, callbacks: list[L.Callback]) -> L.Trainer:
+    trainer = settings.trainer
+    return L.Trainer(
+        accelerator=trainer.accelerator,
+        devices=trainer.devices,
+        max_steps=trainer.max_steps or steps,
+        max_epochs=-1,
+        max_time=trainer.max_time,
+        fast_dev_run=trainer.fast_dev_run,
+        logger=False,
+        enable_checkpointing=False,
+        enable_model_summary=False,
+        enable_progress_bar=trainer.enable_progress_bar,
+        callbacks=callbacks,
+    )
+
+
+def _curve(run_: Run) -> ErrorCurve:
+    evaluation = run_.settings.evaluation
+    frames = held_out_handful(run_.data, evaluation.curve_images)
+    perceptual = run_.perceptual if evaluation.perceptual else None
+    path = run_.folder / "error_vs_time.csv"
+    return ErrorCurve(path, frames, run_.render, evaluation.curve_first_second, perceptual)

@@ -1,0 +1,199 @@
+"""Typed settings: the schema behind `conf/`, checked as a whole before any work starts.
+
+Hydra composes plain YAML; `load_settings` merges it into the dataclasses below, so a wrong type, an unknown
+key or a value out of range is an error that names the key and what is allowed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from occfusion.errors import ConfigError
+from occfusion.stages.settings import OptimSettings
+
+STAGES = ("init", "optim", "refine")
+IMPLEMENTED_STAGES = ("optim",)
+IMPLEMENTED_PRIORS = ("embedded",)
+VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
+
+
+@dataclass
+class Named:
+    """A group whose choice is all there is to set."""
+
+    name: str = ""
+
+
+@dataclass
+class BodySettings:
+    """Which body: its family, and the file when it is not the embedded one."""
+
+    name: str = "anny"
+    path: str | None = None
+
+
+@dataclass
+class VariantSettings:
+    """A row of the paper's Table 2: the stages it needs, and the paper's own figures."""
+
+    name: str = "A"
+    stages: list[str] = field(default_factory=list)
+    paper: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class PerceptualSettings:
+    """Which perceptual metric, and where its backbone lies when no package carries it."""
+
+    name: str = "stlpips"
+    vgg_path: str | None = None
+
+
+@dataclass
+class TrainerSettings:
+    """How the Lightning trainer runs."""
+
+    accelerator: str = "auto"
+    devices: int = 1
+    fast_dev_run: bool = False
+    max_steps: int | None = None
+    max_time: str | None = None
+    checkpoint_every: int = 200
+    enable_progress_bar: bool = True
+
+
+@dataclass
+class EvaluationSettings:
+    """What is measured after training, and how often during it."""
+
+    held_out: bool = True
+    training_views: bool = True
+    training_stride: int = 5
+    perceptual: bool = True
+    pictures: bool = True
+    curve: bool = True
+    curve_images: int = 4
+    curve_first_second: float = 2.0
+
+
+@dataclass
+class Settings:
+    """All settings of a run; `dataset` stays a mapping because its reader owns its keys."""
+
+    stage: Named = field(default_factory=Named)
+    dataset: dict[str, Any] = field(default_factory=dict)
+    body: BodySettings = field(default_factory=BodySettings)
+    variant: VariantSettings = field(default_factory=VariantSettings)
+    prior: Named = field(default_factory=Named)
+    rasterizer: Named = field(default_factory=Named)
+    perceptual: PerceptualSettings = field(default_factory=PerceptualSettings)
+    optim: OptimSettings = field(default_factory=OptimSettings)
+    trainer: TrainerSettings = field(default_factory=TrainerSettings)
+    evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
+    seed: int = 0
+    output_dir: str = ""
+
+
+def load_settings(config: DictConfig) -> Settings:
+    """Returns the composed configuration as typed, checked settings.
+
+    Raises:
+        ConfigError: a wrong type, an unknown key, a value out of range, or a choice that does not exist (yet).
+    """
+    try:
+        schema = OmegaConf.structured(Settings)
+        # a frozen dataclass would make its node read-only to the merge as well
+        OmegaConf.set_readonly(schema.optim.densification, False)
+        merged = OmegaConf.merge(schema, config)
+        settings = OmegaConf.to_object(merged)
+    except OmegaConfBaseException as error:
+        key = getattr(error, "full_key", None) or "?"
+        first_line = str(error).splitlines()[0]
+        raise ConfigError(f"setting {key}: {first_line}") from error
+    assert isinstance(settings, Settings)
+    _check_choices(settings)
+    _check_ranges(settings)
+    return settings
+
+
+def settings_hash(settings: Settings) -> str:
+    """Returns a short hash of all that decides what training computes."""
+    relevant = asdict(settings)
+    for key in ("stage", "evaluation", "output_dir"):
+        del relevant[key]
+    for key in ("checkpoint_every", "enable_progress_bar"):
+        del relevant["trainer"][key]
+    del relevant["dataset"]["root"], relevant["variant"]["paper"]
+    return hashlib.sha256(json.dumps(relevant, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def stages_to_run(settings: Settings) -> list[str]:
+    """Returns the stages that this call asks for and the variant needs, in order."""
+    if settings.stage.name == "all":
+        return list(settings.variant.stages)
+    return [settings.stage.name]
+
+
+def _check_choices(settings: Settings) -> None:
+    missing = [stage for stage in settings.variant.stages if stage not in IMPLEMENTED_STAGES]
+    if missing:
+        raise ConfigError(
+            f"variant={settings.variant.name} needs the stage {' and '.join(missing)}, "
+            f"which this version does not have yet; available: variant=gauhuman, variant=A"
+        )
+    for stage in stages_to_run(settings):
+        if stage not in IMPLEMENTED_STAGES:
+            raise ConfigError(
+                f"stage={stage} does not exist in this version yet; available: stage=all, stage=optim"
+            )
+    if settings.prior.name not in IMPLEMENTED_PRIORS:
+        raise ConfigError(
+            f"prior={settings.prior.name} does not exist in this version yet; available: prior=embedded"
+        )
+    _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
+    _check_in("optim.sh_frame", settings.optim.sh_frame, ("canonical", "world"))
+
+
+def _check_in(key: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise ConfigError(f"setting {key}: {value!r} is not one of {', '.join(allowed)}")
+
+
+def _check_ranges(settings: Settings) -> None:
+    optim, trainer, evaluation = settings.optim, settings.trainer, settings.evaluation
+    weights = {
+        key: getattr(optim, key) for key in ("lambda_rgb", "lambda_mask", "lambda_ssim", "lambda_lpips")
+    }
+    for key, value in weights.items():
+        _check_range(f"optim.{key}", value, 0.0, math.inf)
+    if not any(weights.values()):
+        raise ConfigError("settings optim.lambda_*: all weights are zero, so there is nothing to train")
+    for key, value in vars(optim.rates).items():
+        _check_range(f"optim.rates.{key}", value, 0.0, 10.0)
+    _check_range("optim.steps", optim.steps, 1, 10_000_000)
+    _check_range("optim.perceptual_every", optim.perceptual_every, 1, 10_000)
+    _check_range("optim.perceptual_crop", optim.perceptual_crop, 32, 2048)
+    _check_range("optim.sh_degree", optim.sh_degree, 0, 3)
+    _check_range("optim.sh_every", optim.sh_every, 1, 10_000_000)
+    _check_range("optim.skinning_every", optim.skinning_every, 1, 10_000)
+    _check_range("seed", settings.seed, 0, 2**32 - 1)
+    _check_range("trainer.checkpoint_every", trainer.checkpoint_every, 1, 10_000_000)
+    _check_range("trainer.devices", trainer.devices, 1, 1024)
+    if trainer.max_steps is not None:
+        _check_range("trainer.max_steps", trainer.max_steps, 1, 10_000_000)
+    _check_range("evaluation.training_stride", evaluation.training_stride, 1, 10_000)
+    _check_range("evaluation.curve_images", evaluation.curve_images, 1, 1000)
+    _check_range("evaluation.curve_first_second", evaluation.curve_first_second, 0.01, 1e6)
+
+
+def _check_range(key: str, value: float, low: float, high: float) -> None:
+    # written so that NaN is refused as well
+    if not low <= value <= high or math.isinf(value):
+        raise ConfigError(f"setting {key}: {value} is outside the allowed range {low} to {high}")

@@ -1,0 +1,206 @@
+"""What all human data sets share: selection, occlusion, frames, loaders, checks."""
+
+from __future__ import annotations
+
+import logging
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import lightning as L
+import torch
+from torch.utils.data import DataLoader
+
+from occfusion.data import survey, validation
+from occfusion.data.occlusion import OcclusionSettings
+from occfusion.data.posing import Poser, RestBody
+from occfusion.data.prepare import Prepared, Selection, prepare
+from occfusion.data.sampling import StepSampler, StepStream, ViewStream, prefetched
+from occfusion.data.scene import Scene
+from occfusion.data.views import Views, frame_to
+from occfusion.errors import ConfigError
+from occfusion.types import Camera, Frame, Pose
+
+__all__ = ["HumanDataModule", "RestBody"]
+
+_log = logging.getLogger(__name__)
+
+MIN_SIZE, MAX_SIZE = 16, 4096
+"""Permitted `dataset.image_size`: below, nothing of a person is left; above, memory is."""
+
+
+class HumanDataModule(L.LightningDataModule):
+    """One sequence of one person: a training camera with occlusion, and held-out views without.
+
+    A reader for a new layout gives `open_scene`; everything else is here. Nothing is read before `setup`,
+    and then only the files of the selected frames and cameras.
+    """
+
+    def __init__(
+        self,
+        body: RestBody,
+        selection: Selection,
+        image_size: int,
+        occlusion: str | Mapping[str, Any] | OcclusionSettings | None,
+        seed: int,
+        cache_megabytes: float,
+    ) -> None:
+        super().__init__()
+        whole = isinstance(image_size, int) and not isinstance(image_size, bool)
+        if not whole or not MIN_SIZE <= image_size <= MAX_SIZE:
+            raise ConfigError(f"dataset.image_size={image_size!r}: must be from {MIN_SIZE} to {MAX_SIZE}.")
+        self.image_size = image_size
+        self.occlusion = OcclusionSettings.parse(occlusion)
+        self.seed = seed
+        self.poser = Poser(body)
+        self.findings: list[str] = []
+        self._selection = selection
+        self._cache_bytes = int(cache_megabytes * 1e6)
+        self._opened: tuple[Prepared, Views, StepSampler] | None = None
+
+    @abstractmethod
+    def open_scene(self) -> Scene:
+        """Returns the reader of the sequence."""
+
+    # --- preparation ---------------------------------------------------------------------------------
+
+    def setup(self, stage: str | None = None) -> None:
+        """Opens the scene, selects frames and cameras, reads the training masks and plans the occlusion.
+
+        Raises:
+            ConfigError: a frame range or camera that the scene has not.
+            DataError: a file is missing or cannot be what it should.
+        """
+        self._open()
+
+    def validate(self) -> None:
+        """Checks everything that training and evaluation will read, as far as that is cheap.
+
+        What is doubtful but possible is logged and kept in `findings`.
+
+        Raises:
+            DataError: a file, size, camera, parameter or projection is wrong; says which and what to do.
+        """
+        prepared, views, _ = self._open()
+        for finding in validation.validate(prepared, views, self.poser):
+            if finding not in self.findings:
+                self.findings.append(finding)
+                _log.warning(finding)
+
+    def _open(self) -> tuple[Prepared, Views, StepSampler]:
+        if self._opened is None:
+            prepared = prepare(self.open_scene(), self._selection, self.occlusion)
+            views = Views(prepared, self.image_size, self._cache_bytes)
+            self._opened = prepared, views, StepSampler(len(prepared.train), self.seed)
+        return self._opened
+
+    # --- what was selected ---------------------------------------------------------------------------
+
+    @property
+    def scene_name(self) -> str:
+        """Name of the sequence."""
+        return self._open()[0].scene.name
+
+    @property
+    def train_indices(self) -> tuple[int, ...]:
+        """Training frames, without those that show no person."""
+        return self._open()[0].train
+
+    @property
+    def test_indices(self) -> tuple[int, ...]:
+        """Held-out frames."""
+        return self._open()[0].test
+
+    @property
+    def train_cameras(self) -> tuple[int, ...]:
+        """Indices of the cameras trained on: one."""
+        return (self._open()[0].camera,)
+
+    @property
+    def test_cameras(self) -> tuple[int, ...]:
+        """Indices of the held-out cameras."""
+        return self._open()[0].cameras
+
+    @property
+    def test_views(self) -> tuple[tuple[int, int], ...]:
+        """The held-out `(frame, camera)`, camera by camera."""
+        return self._open()[0].test_views
+
+    def camera(self, index: int) -> Camera:
+        """Returns a camera at frame size."""
+        return self._open()[1].lens(index).camera()
+
+    def pose(self, frame: int) -> Pose:
+        """Returns the body parameters of a frame of the sequence."""
+        return self._open()[1].pose(frame)
+
+    # --- frames --------------------------------------------------------------------------------------
+
+    def train_frame(self, position: int, *, truth: bool = True) -> Frame:
+        """Returns a training frame by its position in `train_indices`.
+
+        Args:
+            position: 0 to the number of training frames less one.
+            truth: also give the unoccluded person and the occluder's place; training never asks for it.
+        """
+        return self._open()[1].train_frame(position, truth=truth)
+
+    def frame_at(self, step: int) -> Frame:
+        """Returns the frame that training step `step` is given: a function of seed and step alone."""
+        _, views, sampler = self._open()
+        return views.train_frame(sampler.position_at(step), truth=False)
+
+    def train_frames(self) -> Iterator[Frame]:
+        """Yields all training frames in order, with the truth where it is known."""
+        return prefetched(self.train_frame, range(len(self.train_indices)))
+
+    def test_frame(self, frame: int, camera: int) -> Frame:
+        """Returns a held-out view: unoccluded, its truth being what it shows."""
+        return self._open()[1].test_frame(frame, camera)
+
+    def train_dataloader(self) -> DataLoader[Frame]:
+        """Returns an endless loader that begins at the trainer's step and gives one frame at a time."""
+        _, views, sampler = self._open()
+
+        def read(position: int) -> Frame:
+            return views.train_frame(position, truth=False)
+
+        def first_step() -> int:
+            return 0 if self.trainer is None else self.trainer.global_step
+
+        return DataLoader(StepStream(read, sampler, first_step), batch_size=None)
+
+    def test_dataloader(self) -> DataLoader[Frame]:
+        """Returns a loader over the held-out views that show a person, one at a time."""
+        return DataLoader(ViewStream(self.test_frame, self.test_views), batch_size=None)
+
+    def transfer_batch_to_device(self, batch: Frame, device: torch.device, dataloader_idx: int) -> Frame:
+        """Returns the frame on `device` (Lightning does not enter frozen records by itself)."""
+        return frame_to(batch, device)
+
+    # --- account -------------------------------------------------------------------------------------
+
+    def summary(self) -> dict[str, Any]:
+        """Returns what was selected and found, for the run folder: plain numbers and text."""
+        prepared, views, _ = self._open()
+        shares, lens = prepared.visible_shares(), views.lens(prepared.camera)
+        settings = repr((self.occlusion, self.image_size, prepared.train, prepared.test_views))
+        selected = [*prepared.train_views, *prepared.test_views]
+        return {
+            "scene": prepared.scene.name,
+            "frames": len(prepared.train),
+            "frames_left_out": list(prepared.left_out),
+            "cameras": len(prepared.scene.cameras),
+            "train_camera": prepared.scene.cameras[prepared.camera],
+            "test_images": len(prepared.test_views),
+            "stored_size": list(lens.source),
+            "size": list(lens.size),
+            "occlusion": self.occlusion.kind,
+            "occluded_frames": sum(share < 1.0 for share in shares),
+            "hidden_boxes": [None if box is None else list(box) for box in prepared.hidden],
+            "visible_share": {
+                str(frame): round(share, 4) for frame, share in zip(prepared.train, shares, strict=True)
+            },
+            "hash": survey.data_hash(prepared.scene, selected, settings),
+            "findings": list(self.findings),
+        }

@@ -1,0 +1,108 @@
+"""From a reader and settings to what is trained on: frames, cameras, occlusion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from occfusion.data import protocol, survey
+from occfusion.data.occlusion import OcclusionSettings, plan
+from occfusion.data.scene import Scene
+from occfusion.errors import DataError
+from occfusion.types import Box
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What the user asks for; None means the paper's protocol.
+
+    Attributes:
+        train_camera: index of the camera trained on.
+        test_cameras: indices of the held-out cameras.
+        train_frames: `[start, stop, step]`.
+        test_frames: `[start, stop, step]`.
+    """
+
+    train_camera: int
+    test_cameras: Sequence[int] | None
+    train_frames: Sequence[int | None] | None
+    test_frames: Sequence[int | None] | None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What is there and was selected, and what is hidden.
+
+    Attributes:
+        scene: the reader.
+        train: training frames that show a person.
+        people: what their masks show.
+        hidden: the simulated occlusion of each, in pixels of the stored picture.
+        left_out: training frames whose mask is empty.
+        test: held-out frames.
+        camera: the camera trained on.
+        cameras: held-out cameras.
+    """
+
+    scene: Scene
+    train: tuple[int, ...]
+    people: tuple[survey.Person, ...]
+    hidden: tuple[Box | None, ...]
+    left_out: tuple[int, ...]
+    test: tuple[int, ...]
+    camera: int
+    cameras: tuple[int, ...]
+
+    @property
+    def train_views(self) -> tuple[tuple[int, int], ...]:
+        """The training `(frame, camera)`."""
+        return tuple((frame, self.camera) for frame in self.train)
+
+    @property
+    def test_views(self) -> tuple[tuple[int, int], ...]:
+        """The held-out `(frame, camera)`, camera by camera."""
+        return tuple((frame, camera) for camera in self.cameras for frame in self.test)
+
+    def visible_shares(self) -> list[float]:
+        """Returns which share of the person each training frame shows."""
+        return [p.visible_share(box) for p, box in zip(self.people, self.hidden, strict=True)]
+
+
+def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) -> Prepared:
+    """Returns what the selection means for this scene; reads the masks of the training frames.
+
+    Raises:
+        ConfigError: a frame range or camera that the scene has not.
+        DataError: a training file is missing, no training frame shows a person, or all of it is hidden.
+    """
+    camera = selection.train_camera
+    cameras = protocol.held_out_cameras(selection.test_cameras, camera, len(scene.cameras))
+    wanted = protocol.train_range(selection.train_frames, scene.num_frames)
+    held_out = protocol.held_out_range(selection.test_frames, scene.num_frames)
+    survey.require_files(scene, ((frame, camera) for frame in wanted))
+    found = survey.scan_people(scene, wanted, camera)
+    shown = [(frame, person) for frame, person in zip(wanted, found, strict=True) if not person.whole.empty]
+    if not shown:
+        path = scene.files(wanted[0], camera).masks[0]
+        raise DataError(
+            f"{path}: no person in this mask, nor in the masks of any of the {len(wanted)} training frames. "
+            "Check dataset.masks, dataset.train_camera and dataset.train_frames."
+        )
+    people = tuple(person for _, person in shown)
+    train = tuple(frame for frame, _ in shown)
+    result = Prepared(
+        scene=scene,
+        train=train,
+        people=people,
+        hidden=plan(occlusion, [person.whole for person in people], scene.name),
+        left_out=tuple(frame for frame in wanted if frame not in set(train)),
+        test=held_out,
+        camera=camera,
+        cameras=cameras,
+    )
+    if max(result.visible_shares()) == 0.0:
+        raise DataError(
+            f"{scene.root}: the person is hidden completely in every training frame; there is nothing to "
+            "learn from. Make dataset.occlusion narrower."
+        )
+    return result

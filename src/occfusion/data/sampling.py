@@ -1,0 +1,90 @@
+"""Which frame a step sees: a function of the step alone, so that a resumed run goes on where it was."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import count, islice
+from typing import TypeVar
+
+import numpy as np
+from torch.utils.data import IterableDataset
+
+from occfusion.types import Frame
+
+AHEAD = 2
+"""Frames made ready while a step runs: one hides the decoding, the second evens out slow files."""
+
+T = TypeVar("T")
+
+
+class StepSampler:
+    """Each epoch visits all frames once, in an order drawn from the seed and the epoch."""
+
+    def __init__(self, frames: int, seed: int) -> None:
+        self._frames = frames
+        self._seed = seed
+        self._epoch = -1
+        self._order: tuple[int, ...] = ()
+
+    def position_at(self, step: int) -> int:
+        """Returns the position, in 0..frames-1, of the frame that step `step` is given."""
+        epoch, within = divmod(step, self._frames)
+        if epoch != self._epoch:
+            order = np.random.default_rng((self._seed, epoch)).permutation(self._frames)
+            self._epoch, self._order = epoch, tuple(int(position) for position in order)
+        return self._order[within]
+
+
+def prefetched(read: Callable[[T], Frame], wanted: Iterable[T]) -> Iterator[Frame]:
+    """Yields the frames of `wanted` in order, made ahead by one thread (decoding releases the GIL)."""
+    rest = iter(wanted)
+    reader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="frames")
+    pending: deque[Future[Frame]] = deque(reader.submit(read, item) for item in islice(rest, AHEAD))
+    try:
+        while pending:
+            frame = pending.popleft().result()
+            pending.extend(reader.submit(read, item) for item in islice(rest, 1))
+            yield frame
+    finally:
+        reader.shutdown(wait=False, cancel_futures=True)
+
+
+class StepStream(IterableDataset[Frame]):
+    """Endless frames from a given step on."""
+
+    def __init__(
+        self, read: Callable[[int], Frame], sampler: StepSampler, first_step: Callable[[], int]
+    ) -> None:
+        """Makes the stream.
+
+        Args:
+            read: gives the frame at a position.
+            sampler: step to position.
+            first_step: asked each time that iteration begins: the steps already taken.
+        """
+        self._read = read
+        self._sampler = sampler
+        self._first_step = first_step
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yields the frames of the steps to come."""
+        return prefetched(self._read, map(self._sampler.position_at, count(self._first_step())))
+
+
+class ViewStream(IterableDataset[Frame]):
+    """Held-out views in order; those that show nobody are left out."""
+
+    def __init__(self, read: Callable[[int, int], Frame], views: Sequence[tuple[int, int]]) -> None:
+        self._read = read
+        self._views = views
+
+    def __len__(self) -> int:
+        """Number of views, at most; needed by progress bars."""
+        return len(self._views)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yields the frames."""
+        frames = prefetched(lambda view: self._read(*view), self._views)
+        return (frame for frame in frames if bool(frame.visible_mask.any()))

@@ -1,0 +1,105 @@
+"""What a reader of a data folder gives: cameras, body parameters and the paths of pictures.
+
+A reader knows one layout on disk and nothing of scaling, occlusion or training; those are shared.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A camera as calibrated: pinhole with lens distortion, OpenCV axes.
+
+    Attributes:
+        name: what messages call it.
+        K: intrinsics in pixels, pixel centres at +0.5, `[3, 3]`.
+        R: rotation from world to camera, `[3, 3]`.
+        t: translation from world to camera, `[3]`, metres.
+        distortion: OpenCV's k1 k2 p1 p2 k3 (or 4, or 8 of them).
+    """
+
+    name: str
+    K: Array
+    R: Array
+    t: Array
+    distortion: Array
+
+    @property
+    def centre(self) -> Array:
+        """Returns the camera centre in the world, `[3]`, metres."""
+        return -self.R.T @ self.t
+
+
+@dataclass(frozen=True)
+class BodyParameters:
+    """Parameters of one frame in the convention of smplx (rotation about the pelvis); metres, radians.
+
+    Attributes:
+        betas: `[B]`.
+        global_orient: `[3]`.
+        body_pose: `[69]`.
+        transl: `[3]`.
+    """
+
+    betas: Array
+    global_orient: Array
+    body_pose: Array
+    transl: Array
+
+
+@dataclass(frozen=True)
+class PictureFiles:
+    """Where one moment of one camera lies on disk.
+
+    Attributes:
+        name: what errors and tables call it.
+        rgb: the picture.
+        masks: person masks; a pixel in any of them is the person.
+        complete_rgb: the picture without its occluder, where the data set has one.
+        complete_mask: the whole person, hidden parts included, where the data set has it.
+    """
+
+    name: str
+    rgb: Path
+    masks: tuple[Path, ...]
+    complete_rgb: Path | None
+    complete_mask: Path | None
+
+    def all(self) -> tuple[Path, ...]:
+        """Returns every path."""
+        optional = (self.complete_rgb, self.complete_mask)
+        return (self.rgb, *self.masks, *(path for path in optional if path is not None))
+
+
+class Scene(ABC):
+    """An interface: one sequence of one person, seen by one or more cameras."""
+
+    name: str
+    root: Path
+    num_frames: int
+    cameras: tuple[str, ...]
+
+    @abstractmethod
+    def calibration(self, camera: int) -> Calibration:
+        """Returns a camera, checked on its own."""
+
+    @abstractmethod
+    def parameters(self, frame: int) -> BodyParameters:
+        """Returns the body parameters of a frame, checked on their own."""
+
+    @abstractmethod
+    def files(self, frame: int, camera: int) -> PictureFiles:
+        """Returns the paths of one picture; they need not exist."""
+
+    @abstractmethod
+    def evidence(self, frame: int) -> tuple[Path, ...]:
+        """Returns the files, other than pictures, that determine a frame: for the hash of the data."""

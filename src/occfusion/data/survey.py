@@ -1,0 +1,108 @@
+"""A look over the data before training: files, sizes, who is in the pictures, how much is hidden."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from occfusion.data.scene import Scene
+from occfusion.data.silhouette import Silhouette
+from occfusion.errors import DataError
+from occfusion.files.images import image_size, read_mask
+from occfusion.types import Box
+
+SCAN_THREADS = 2
+"""Masks decode outside the interpreter's lock; more threads than this only help on larger machines."""
+
+
+@dataclass(frozen=True)
+class Person:
+    """What the masks of one training picture show, at the stored size.
+
+    Attributes:
+        whole: the person, with hidden parts where the data set has a complete mask.
+        seen: the person in the picture as it was taken.
+    """
+
+    whole: Silhouette
+    seen: Silhouette
+
+    def visible_share(self, hidden: Box | None) -> float:
+        """Returns which share of the whole person is seen past real and simulated occluders."""
+        total = int(self.whole.crop().sum())
+        if total == 0:
+            return 0.0
+        return min(int(self.seen.crop().sum()) * self.seen.share_outside(hidden) / total, 1.0)
+
+
+def require_files(scene: Scene, views: Iterable[tuple[int, int]]) -> None:
+    """Raises DataError naming the first missing file of `(frame, camera)` views and of their poses."""
+    missing: list[Path] = []
+    seen: set[Path] = set()
+    for frame, camera in views:
+        for path in (*scene.evidence(frame), *scene.files(frame, camera).all()):
+            if path not in seen:
+                seen.add(path)
+                if not path.is_file():
+                    missing.append(path)
+    if missing:
+        more = f" and {len(missing) - 1} more files" if len(missing) > 1 else ""
+        raise DataError(
+            f"{missing[0]}: file not found{more}, out of {len(seen)} that this training needs. Complete the "
+            "folder, or choose dataset.train_frames and dataset.test_cameras that it has."
+        )
+
+
+def require_sizes(scene: Scene, views: Iterable[tuple[int, int]], sizes: dict[int, tuple[int, int]]) -> None:
+    """Raises DataError unless pictures and masks of each camera all declare that camera's size.
+
+    Args:
+        scene: the reader.
+        views: `(frame, camera)` to look at; only the beginnings of the files are read.
+        sizes: (width, height) of each camera.
+    """
+    for frame, camera in views:
+        for path in scene.files(frame, camera).all():
+            if (size := image_size(path)) != sizes[camera]:
+                raise DataError(
+                    f"{path}: {size[0]} x {size[1]} pixels, but this camera's pictures have "
+                    f"{sizes[camera][0]} x {sizes[camera][1]}; pictures and masks must have one size."
+                )
+
+
+def scan_people(scene: Scene, frames: Sequence[int], camera: int) -> list[Person]:
+    """Returns what the masks of the training pictures show, in order."""
+    with ThreadPoolExecutor(SCAN_THREADS, thread_name_prefix="masks") as pool:
+        return list(pool.map(lambda frame: look_at_person(scene, frame, camera), frames))
+
+
+def look_at_person(scene: Scene, frame: int, camera: int) -> Person:
+    """Returns what the masks of one picture show."""
+    files = scene.files(frame, camera)
+    masks = [read_mask(path) for path in files.masks]
+    if len({mask.shape for mask in masks}) > 1:
+        raise DataError(f"{files.masks[1]}: its size differs from that of {files.masks[0]}.")
+    seen = Silhouette.of(np.logical_or.reduce(masks))
+    return Person(Silhouette.of(read_mask(files.complete_mask)) if files.complete_mask else seen, seen)
+
+
+def data_hash(scene: Scene, views: Iterable[tuple[int, int]], settings: str) -> str:
+    """Returns a fingerprint of cameras, body parameters, the list of pictures with their sizes, and settings.
+
+    Picture contents are left out: reading them all would take longer than the rest of the preparation.
+    """
+    digest = hashlib.sha256(settings.encode())
+    read: set[Path] = set()
+    for frame, camera in views:
+        for path in scene.evidence(frame):
+            if path not in read:
+                read.add(path)
+                digest.update(path.name.encode() + path.read_bytes())
+        for path in scene.files(frame, camera).all():
+            digest.update(f"{path.relative_to(scene.root)} {path.stat().st_size}\n".encode())
+    return digest.hexdigest()[:16]

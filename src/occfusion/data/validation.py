@@ -1,0 +1,122 @@
+"""The checks before training that need cameras, poses and masks together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from occfusion.data import checks, survey
+from occfusion.data.posing import Poser
+from occfusion.data.prepare import Prepared
+from occfusion.data.scene import Array
+from occfusion.data.silhouette import Silhouette
+from occfusion.data.views import Views
+from occfusion.errors import DataError
+
+HEIGHT = (0.5, 3.0)
+"""Plausible heights of a person at rest, metres."""
+
+CHECKED_FRAMES = 5
+"""Frames whose projected body is compared with the mask."""
+
+DOUBTFUL_OVERLAP = 0.5
+"""IoU of body and mask below which it is reported: a clothed person has 0.8 to 0.95."""
+
+MISSED = 0.1
+"""Mean share of the mask inside the body below which the two cannot belong together."""
+
+
+def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
+    """Returns what is doubtful about the data, one sentence each.
+
+    Looks at everything that training and evaluation will read, as far as that is cheap: all files are
+    there, all headers agree, all cameras and poses are sound, and in a few frames the body is where the
+    mask is.
+
+    Raises:
+        DataError: something cannot be; says what, where, and what to do.
+    """
+    scene = prepared.scene
+    selected = [*prepared.train_views, *prepared.test_views]
+    survey.require_files(scene, selected)
+    cameras = sorted({camera for _, camera in selected})
+    sizes = {camera: views.lens(camera).source for camera in cameras}
+    survey.require_sizes(scene, selected, sizes)
+    for camera in cameras:
+        calibration = scene.calibration(camera)
+        checks.check_intrinsics(calibration.K, sizes[camera], f"{scene.root}, K of camera {calibration.name}")
+    for frame in sorted({*prepared.train, *prepared.test}):
+        views.parameters(frame)
+    _check_height(poser.rest_vertices(views.parameters(prepared.train[0]).betas), str(scene.root))
+    doubts = [_left_out(prepared)] if prepared.left_out else []
+    return doubts + _check_projection(prepared, views, poser) + _held_out_doubts(prepared, views, poser)
+
+
+def _left_out(prepared: Prepared) -> str:
+    shown = ", ".join(str(frame) for frame in prepared.left_out[:10])
+    count = len(prepared.left_out)
+    return f"{prepared.scene.root}: {count} training frames show no person and are left out: {shown}"
+
+
+def _check_height(vertices: Array, where: str) -> None:
+    height = float(np.ptp(vertices, axis=0).max())
+    if not HEIGHT[0] <= height <= HEIGHT[1]:
+        raise DataError(
+            f"{where}: the body is {height:.3g} m tall at rest, not {HEIGHT[0]} to {HEIGHT[1]} m; check "
+            "`shapes` and the unit of the body file."
+        )
+
+
+def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
+    where, camera = str(prepared.scene.root), prepared.scene.calibration(prepared.camera)
+    chosen = np.linspace(0, len(prepared.train) - 1, CHECKED_FRAMES).round().astype(int)
+    overlaps: dict[int, float] = {}
+    inside = []
+    for position in sorted({int(index) for index in chosen}):
+        frame, person = prepared.train[position], prepared.people[position].whole
+        vertices, _ = poser.pose(views.parameters(frame))
+        checks.check_in_view(vertices, camera, (person.width, person.height), f"{where}, frame {frame}")
+        overlaps[frame], share = checks.mask_overlap(vertices, camera, _spread(person))
+        inside.append(share)
+    if np.mean(inside) < MISSED:
+        raise DataError(
+            f"{where}: the projected body misses the person's mask in camera {camera.name}: "
+            f"{np.mean(inside):.0%} of the mask is inside it, mean of {len(inside)} frames. Check R "
+            "(transposed?), T (millimetres), Rh and Th, and that the body file is the one the "
+            "parameters were fitted with."
+        )
+    worst = min(overlaps, key=overlaps.__getitem__)
+    if overlaps[worst] >= DOUBTFUL_OVERLAP:
+        return []
+    return [
+        f"{where}, frame {worst}: projected body and mask overlap by only {overlaps[worst]:.2f} (IoU) in "
+        f"camera {camera.name}; a good fit has 0.8. Check the cameras, Rh, Th, the body file, the masks."
+    ]
+
+
+def _held_out_doubts(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
+    """Returns one sentence naming the held-out cameras whose mask the body misses in the first test frame."""
+    frame = prepared.test[0]
+    vertices, _ = poser.pose(views.parameters(frame))
+    doubtful = []
+    for index in prepared.cameras:
+        person = survey.look_at_person(prepared.scene, frame, index).whole
+        camera = prepared.scene.calibration(index)
+        overlap, _ = checks.mask_overlap(vertices, camera, _spread(person))
+        if overlap < DOUBTFUL_OVERLAP and not person.empty:
+            doubtful.append(camera.name)
+    if not doubtful:
+        return []
+    names = ", ".join(doubtful[:5])
+    return [
+        f"{prepared.scene.root}, frame {frame}: projected body and mask overlap badly (IoU below "
+        f"{DOUBTFUL_OVERLAP}) in {len(doubtful)} of {len(prepared.cameras)} held-out cameras: {names}. "
+        "Check their R and T."
+    ]
+
+
+def _spread(person: Silhouette) -> np.ndarray:
+    """Returns the mask of the whole picture, bool `[H, W]`."""
+    mask = np.zeros((person.height, person.width), dtype=bool)
+    x, y, w, h = person.box
+    mask[y : y + h, x : x + w] = person.crop()
+    return mask

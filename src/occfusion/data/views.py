@@ -1,0 +1,101 @@
+"""Frames of a prepared scene: reads, packs, remembers, and hands out tensors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from occfusion.data.cache import BoundedCache
+from occfusion.data.lens import Lens
+from occfusion.data.packing import Packed, pack
+from occfusion.data.prepare import Prepared
+from occfusion.data.scene import BodyParameters
+from occfusion.files.images import image_size
+from occfusion.types import Frame, Pose, Truth
+
+_KEPT_LENSES = 3
+"""Undistortion maps take 6 bytes a pixel and camera; held-out views are visited camera by camera."""
+
+
+class Views:
+    """Makes the frames of a prepared scene at one size."""
+
+    def __init__(self, prepared: Prepared, image_size: int, cache_bytes: int) -> None:
+        self._prepared = prepared
+        self._image_size = image_size
+        self._cache: BoundedCache[Packed] = BoundedCache(cache_bytes)
+        self._lenses: dict[int, Lens] = {}
+        self._parameters: dict[int, BodyParameters] = {}
+
+    def train_frame(self, position: int, *, truth: bool) -> Frame:
+        """Returns the training frame at a position; kept in memory while there is room."""
+        ready = self._prepared
+        frame, hidden = ready.train[position], ready.hidden[position]
+        packed = self._cache.get(
+            position, lambda: pack(ready.scene.files(frame, ready.camera), self.lens(ready.camera), hidden)
+        )
+        return self._frame(packed, frame, ready.camera, truth)
+
+    def test_frame(self, frame: int, camera: int) -> Frame:
+        """Returns a held-out view: unoccluded, its truth being what it shows."""
+        packed = pack(self._prepared.scene.files(frame, camera), self.lens(camera), clean=True)
+        return self._frame(packed, frame, camera, True)
+
+    def lens(self, camera: int) -> Lens:
+        """Returns how a camera's stored pictures become frames."""
+        if (lens := self._lenses.pop(camera, None)) is None:
+            scene = self._prepared.scene
+            frame = self._prepared.train[0] if camera == self._prepared.camera else self._prepared.test[0]
+            source = image_size(scene.files(frame, camera).rgb)
+            lens = Lens.fitted(scene.calibration(camera), source, self._image_size)
+        self._lenses[camera] = lens  # the last used stands last
+        while len(self._lenses) > _KEPT_LENSES:
+            del self._lenses[next(iter(self._lenses))]
+        return lens
+
+    def parameters(self, frame: int) -> BodyParameters:
+        """Returns the body parameters of a frame of the sequence."""
+        if frame not in self._parameters:
+            self._parameters[frame] = self._prepared.scene.parameters(frame)
+        return self._parameters[frame]
+
+    def pose(self, frame: int) -> Pose:
+        """Returns the same as tensors."""
+        found = self.parameters(frame)
+        parts = (found.betas, found.global_orient, found.body_pose, found.transl)
+        return Pose(*(torch.tensor(part, dtype=torch.float32) for part in parts))
+
+    def _frame(self, packed: Packed, frame: int, camera: int, truth: bool) -> Frame:
+        known = packed.truth() if truth else None
+        return Frame(
+            index=frame,
+            camera_index=camera,
+            name=self._prepared.scene.files(frame, camera).name,
+            rgb=packed.rgb(),
+            visible_mask=packed.visible_mask(),
+            occluded=packed.occluded() if truth else None,
+            complete_mask=None,
+            truth=None if known is None else Truth(*known),
+            camera=self.lens(camera).camera(),
+            pose=self.pose(frame),
+        )
+
+
+def frame_to(frame: Frame, device: torch.device | str) -> Frame:
+    """Returns the frame with all its tensors on `device`."""
+
+    def move(tensor: Tensor | None) -> Tensor | None:
+        return None if tensor is None else tensor.to(device)
+
+    return replace(
+        frame,
+        rgb=frame.rgb.to(device),
+        visible_mask=frame.visible_mask.to(device),
+        occluded=move(frame.occluded),
+        complete_mask=move(frame.complete_mask),
+        truth=frame.truth and Truth(frame.truth.rgb.to(device), frame.truth.mask.to(device)),
+        camera=frame.camera.to(device),
+        pose=frame.pose.to(device),
+    )

@@ -1,0 +1,86 @@
+"""Evaluates a trained avatar on a data set and writes the run folder's figures and pictures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from occfusion.config import STAGES, Settings
+from occfusion.data.handful import held_out_handful, training_handful
+from occfusion.data.module import HumanDataModule
+from occfusion.evaluate import ImageRow, evaluate_frames, summarise, write_per_image_csv
+from occfusion.files.atomic import write_json
+from occfusion.memory import peak_memory_mb
+from occfusion.perceptual import PerceptualMetric
+from occfusion.pictures import write_comparison
+from occfusion.types import Frame, Rendering
+
+HELD_OUT_REGIONS = ("full", "box")
+TRAINING_REGIONS = ("visible", "hidden")
+PICTURE_FRAMES = 4
+FAST_DEV_IMAGES = 1
+
+
+def evaluate_run(
+    folder: Path,
+    data: HumanDataModule,
+    render: Callable[[Frame], Rendering],
+    settings: Settings,
+    perceptual: PerceptualMetric | None,
+    gaussians: int,
+) -> dict[str, Any]:
+    """Writes `per_image.csv`, `metrics.json` and the pictures; returns the content of `metrics.json`."""
+    evaluation = settings.evaluation
+    perceptual = perceptual if evaluation.perceptual else None
+    limit = FAST_DEV_IMAGES if settings.trainer.fast_dev_run else None
+    rows: list[ImageRow] = []
+    images = 0
+    if evaluation.held_out:
+        rows += evaluate_frames(render, islice(data.test_dataloader(), limit), HELD_OUT_REGIONS, perceptual)
+        images = len({(row.camera, row.frame) for row in rows})
+    if evaluation.training_views:
+        views = islice(_training_views(data, evaluation.training_stride), limit)
+        rows += evaluate_frames(render, views, TRAINING_REGIONS, perceptual)
+    write_per_image_csv(folder / "per_image.csv", rows)
+    metrics = {
+        "dataset": settings.dataset["name"],
+        "scene": data.scene_name,
+        "variant": settings.variant.name,
+        "images": images,
+        "regions": summarise(rows),
+        "perceptual_metric": None if perceptual is None else perceptual.name,
+        "train_seconds": _train_seconds(folder),
+        "gaussians": gaussians,
+        "peak_memory_mb": round(peak_memory_mb(), 1),
+        "left_out": _left_out(folder),
+    }
+    write_json(folder / "metrics.json", metrics)
+    if evaluation.pictures:
+        (folder / "pictures").mkdir(exist_ok=True)
+        write_comparison(folder / "pictures" / "held_out.png", held_out_handful(data, PICTURE_FRAMES), render)
+        write_comparison(folder / "pictures" / "training.png", training_handful(data, PICTURE_FRAMES), render)
+    return metrics
+
+
+def _training_views(data: HumanDataModule, stride: int) -> Iterator[Frame]:
+    for position in range(0, len(data.train_indices), stride):
+        yield data.train_frame(position)
+
+
+def _train_seconds(folder: Path) -> dict[str, float | None]:
+    seconds: dict[str, float | None] = {}
+    for stage in STAGES:
+        record = folder / stage / "stage.json"
+        seconds[stage] = None
+        if record.is_file():
+            seconds[stage] = round(json.loads(record.read_text(encoding="utf-8"))["train_seconds"], 3)
+    seconds["total"] = round(sum(value for value in seconds.values() if value is not None), 3)
+    return seconds
+
+
+def _left_out(folder: Path) -> list[str]:
+    plan = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
+    return [decision["part"] for decision in plan["decisions"] if not decision["used"]]

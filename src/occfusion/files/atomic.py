@@ -1,0 +1,104 @@
+"""Writing files whole or not at all: temporary name, flush to the disk, rename."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from occfusion.errors import DataError
+
+_PARTIAL = ".partial"
+
+
+@contextlib.contextmanager
+def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
+    """Yields a binary stream; the file appears under its name only when the block ends without error.
+
+    Missing folders are made. On any error, also an interrupt, a file that was there before stays as it
+    was, and the temporary one is removed.
+
+    Raises:
+        DataError: the disk refuses (full, read-only, not permitted).
+    """
+    path = Path(path)
+    temporary: Path | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name[:80]}.", suffix=_PARTIAL, dir=path.parent)
+        temporary = Path(name)
+        with os.fdopen(handle, "wb") as stream:
+            os.chmod(temporary, 0o666 & ~_umask())  # mkstemp gives 0600, which others could not read
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+        temporary = None
+        _sync_folder(path.parent)
+    except OSError as error:
+        why = error.strerror or error
+        raise DataError(f"{path}: cannot be written ({why}); check space and rights.") from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path | str, content: bytes) -> None:
+    """Writes `content` whole or not at all."""
+    with atomic_write(path) as stream:
+        stream.write(content)
+
+
+def write_json(path: Path | str, content: Mapping[str, Any] | list[Any]) -> None:
+    """Writes readable JSON; NaN and infinity are refused, since other readers reject them.
+
+    Raises:
+        ValueError: a number is not finite; write None where a figure could not be computed.
+    """
+    text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
+    write_bytes(path, (text + "\n").encode())
+
+
+def write_png(path: Path | str, image: NDArray[Any]) -> None:
+    """Writes a PNG.
+
+    Args:
+        path: the file.
+        image: uint8 `[H, W]` or `[H, W, 3]` (RGB), or bool `[H, W]`, which is written as 0 and 255.
+
+    Raises:
+        DataError: another type or shape, or the encoder refuses it.
+    """
+    if image.dtype == np.bool_:
+        image = image.astype(np.uint8) * np.uint8(255)
+    if image.dtype != np.uint8 or image.size == 0 or not (image.ndim == 2 or image.shape[2:] == (3,)):
+        raise DataError(f"{path}: an array of {image.dtype} {image.shape} is not a picture.")
+    ordered = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
+    done, encoded = cv2.imencode(".png", ordered)
+    if not done:
+        raise DataError(f"{path}: the picture {image.shape} could not be encoded.")
+    write_bytes(path, encoded.tobytes())
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _sync_folder(folder: Path) -> None:
+    """Makes the rename itself durable; not all file systems can, and the data are safe either way."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

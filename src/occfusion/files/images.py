@@ -1,0 +1,153 @@
+"""Reading pictures and masks; every unusual form is handled by a stated rule or refused by name.
+
+| form | picture | mask |
+|---|---|---|
+| grey | repeated in three channels | as it is |
+| with alpha | blended onto black | alpha ignored |
+| 16 bits | divided by 257 and rounded | divided by 257 when over 255, else labels |
+| palette | its colours | colours other than black |
+| CMYK, EXIF rotation other than upright, neither PNG nor JPEG | refused | refused |
+| cut short | refused | refused |
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from occfusion.errors import DataError
+from occfusion.files.imageheader import ImageHeader, parse_header
+from occfusion.files.unpickle import read_bytes
+
+MAX_MEGAPIXELS = 64.0
+"""Pictures that declare more are not decoded; a 1-gigapixel PNG can be a file of a few kilobytes."""
+
+MAX_FILE_BYTES = 512 << 20
+
+_HEAD_BYTES = (4096, 1 << 18)
+"""How much is read to find a size: nearly always the first; large EXIF blocks need the second."""
+
+MAX_LABEL = 40
+"""Largest value read as a label: parsing sets have 20 (CIHP) to 33 classes."""
+
+_SOFT = 128
+"""From here up a soft mask counts as person."""
+
+_TO_8_BITS = 257
+"""65535 / 255."""
+
+
+def image_header(path: Path | str) -> ImageHeader:
+    """Returns the declared form of a picture, reading only its beginning.
+
+    Raises:
+        DataError: missing, or neither PNG nor JPEG.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as stream:
+            for amount in _HEAD_BYTES:
+                stream.seek(0)
+                try:
+                    return parse_header(stream.read(amount))
+                except ValueError as error:
+                    reason = error
+    except FileNotFoundError:
+        raise DataError(f"{path}: picture not found.") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    raise DataError(f"{path}: {reason}; pictures and masks must be PNG or JPEG files.")
+
+
+def image_size(path: Path | str) -> tuple[int, int]:
+    """Returns (width, height) in pixels, without decoding."""
+    header = image_header(path)
+    return header.width, header.height
+
+
+def read_rgb(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.uint8]:
+    """Returns the picture, uint8 `[H, W, 3]`, in RGB order.
+
+    Raises:
+        DataError: missing, damaged, cut short, too large, or of a form the table above refuses.
+    """
+    image = _to_8_bits(_decode(Path(path), max_megapixels))
+    if image.ndim == 2:
+        return np.repeat(image[..., None], 3, axis=2)
+    if image.shape[2] == 4:
+        alpha = image[..., 3:].astype(np.uint16)
+        image = ((image[..., :3] * alpha + 127) // 255).astype(np.uint8)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+
+
+def read_mask(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.bool_]:
+    """Returns where the person is, bool `[H, W]`.
+
+    Rule, on the largest of the colour channels: values up to `MAX_LABEL` are labels, and so is a single
+    value besides 0: non-zero is the person. With values up to 255 in between, the mask is soft (edges
+    blurred, or stored as JPEG): 128 and more is the person.
+
+    Raises:
+        DataError: as `read_rgb`; or several values besides 0 of which the largest is between labels
+            and a soft mask, which could mean either.
+    """
+    image = _decode(Path(path), max_megapixels)
+    if image.ndim == 3:
+        image = image[..., :3].max(axis=2)
+    if image.dtype == np.uint16 and image.max(initial=0) < 256:
+        image = image.astype(np.uint8)  # labels written with 16 bits
+    image = _to_8_bits(image)
+    largest = int(image.max(initial=0))
+    if largest <= MAX_LABEL:
+        return np.asarray(image > 0)
+    values = np.flatnonzero(np.bincount(image.reshape(-1), minlength=256))
+    if len(values[values > 0]) == 1:
+        return np.asarray(image > 0)
+    if largest >= 250:  # JPEG does not quite reach 255
+        return np.asarray(image >= _SOFT)
+    raise DataError(
+        f"{path}: mask values up to {largest} are neither labels (up to {MAX_LABEL}) nor a soft mask (up to "
+        "255). Write 0 for background and 255 for the person."
+    )
+
+
+def _decode(path: Path, max_megapixels: float) -> NDArray[Any]:
+    """Returns the picture as OpenCV decodes it: grey, BGR or BGRA, 8 or 16 bits."""
+    content = read_bytes(path, MAX_FILE_BYTES)
+    try:
+        header = parse_header(content)
+    except ValueError as error:
+        raise DataError(f"{path}: {error}; pictures and masks must be PNG or JPEG files.") from None
+    if header.width * header.height > max_megapixels * 1e6:
+        raise DataError(
+            f"{path}: declares {header.width} x {header.height} pixels, more than {max_megapixels:g} "
+            "megapixels; scale it down first."
+        )
+    if header.orientation != 1:
+        raise DataError(
+            f"{path}: EXIF orientation {header.orientation}; the calibration cannot tell whether it means "
+            "the stored or the turned picture. Turn the pixels and remove the entry."
+        )
+    if header.format == "jpeg" and header.channels == 4:
+        raise DataError(f"{path}: CMYK colours; convert it to RGB.")
+    if not header.complete:
+        raise DataError(f"{path}: the picture is cut short; get the file again.")
+    try:
+        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise DataError(f"{path}: cannot be decoded ({error.err}); get the file again.") from error
+    if image is None or image.shape[:2] != (header.height, header.width):
+        raise DataError(f"{path}: cannot be decoded; the file is damaged, get it again.")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise DataError(f"{path}: {image.dtype} pixels; use 8 or 16 bits.")
+    return np.asarray(image)
+
+
+def _to_8_bits(image: NDArray[Any]) -> NDArray[np.uint8]:
+    if image.dtype == np.uint16:
+        return ((image.astype(np.uint32) + _TO_8_BITS // 2) // _TO_8_BITS).astype(np.uint8)
+    return image

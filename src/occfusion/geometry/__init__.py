@@ -1,0 +1,1 @@
+"""Rotations, cameras, skinning and neighbours: pure functions on tensors."""

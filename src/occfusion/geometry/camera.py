@@ -1,0 +1,95 @@
+"""Cameras: projection of points, looking at a target, orbits. OpenCV axes: x right, y down, z forward."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from occfusion.types import Camera
+
+NEAR = 0.01
+"""Metres; nearer points have no place in the picture."""
+
+
+def project_points(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+    """Returns where points appear and how far away they are.
+
+    Args:
+        points: world coordinates in metres, `[..., 3]`.
+        camera: whose picture it is.
+
+    Returns:
+        pixel positions `[..., 2]` (NaN, with zero gradient, for points less than 1 cm before the camera
+        plane, which have none) and depths along the viewing direction `[...]`, metres.
+    """
+    local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    depths = local[..., 2]
+    is_seen = (depths >= NEAR).unsqueeze(-1)
+    # the division only ever sees depths that are kept, so those dropped cannot spoil the gradient
+    rays = local[..., :2] / torch.where(is_seen, depths.unsqueeze(-1), 1.0)
+    pixels = rays @ camera.K[:2, :2].T + camera.K[:2, 2]
+    return torch.where(is_seen, pixels, math.nan), depths
+
+
+def look_at(eye: Tensor, target: Tensor, up: Tensor) -> Tensor:
+    """Returns the view matrix `[4, 4]` of a camera at `eye` that has `target` in its centre and `up` upwards.
+
+    Args:
+        eye: camera centre, `[3]`, metres.
+        target: the point looked at, `[3]`, metres.
+        up: the direction that points up in the picture, `[3]`; any length, not along the line of sight.
+
+    Raises:
+        ValueError: eye and target coincide, or `up` lies along the line of sight.
+    """
+    forward = target - eye
+    right = torch.linalg.cross(forward, up)
+    # sine of the angle between the two directions, times their lengths
+    if not bool(right.norm() > 1e-6 * forward.norm() * up.norm()):
+        raise ValueError(
+            f"no camera at {eye.tolist()} looks at {target.tolist()} with {up.tolist()} upwards: "
+            "the points coincide or the direction lies along the line of sight"
+        )
+    forward = functional.normalize(forward, dim=0)
+    right = functional.normalize(right, dim=0)
+    rotation = torch.stack([right, torch.linalg.cross(forward, right), forward])
+    viewmat = torch.eye(4, dtype=eye.dtype, device=eye.device)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ eye
+    return viewmat
+
+
+def square_intrinsics(field_of_view: float, size: int) -> Tensor:
+    """Returns `K [3, 3]` of a centred square picture; `field_of_view` in radians, side to side."""
+    focal = 0.5 * size / math.tan(0.5 * field_of_view)
+    return torch.tensor([[focal, 0.0, size / 2], [0.0, focal, size / 2], [0.0, 0.0, 1.0]])
+
+
+def orbit_camera(
+    target: Tensor, angle: float, distance: float, field_of_view: float, size: int, up: Tensor | None = None
+) -> Camera:
+    """Returns a camera on a horizontal circle around a target, looking at it.
+
+    Args:
+        target: centre of the circle, `[3]`, metres.
+        angle: place on the circle in radians, counter-clockwise seen from above. At 0 a body that stands
+            along +y and faces +z (SMPL's rest pose) is seen from the front.
+        distance: radius in metres.
+        field_of_view: of the square picture, radians.
+        size: side of the picture in pixels.
+        up: axis of the circle, `[3]`; +y when None.
+    """
+    axis = target.new_tensor([0.0, 1.0, 0.0]) if up is None else functional.normalize(up.to(target), dim=0)
+    front = target.new_tensor([0.0, 0.0, 1.0])
+    front = front - axis * (front @ axis)
+    if float(front.norm()) < 1e-3:  # the circle's axis is z itself: any start will do
+        front = target.new_tensor([1.0, 0.0, 0.0])
+        front = front - axis * (front @ axis)
+    front = functional.normalize(front, dim=0)
+    side = torch.linalg.cross(axis, front)
+    eye = target + distance * (math.cos(angle) * front + math.sin(angle) * side)
+    K = square_intrinsics(field_of_view, size).to(target)
+    return Camera(look_at(eye, target, axis), K, size, size)

@@ -1,0 +1,150 @@
+"""Rotations as axis-angles, matrices and quaternions (w, x, y, z); exact, with finite gradients, everywhere.
+
+The delicate places are the axis-angle 0, where `sin(a) / a` needs its series, rotations by pi, where an axis
+has to be read from a matrix whose skew part vanishes, and quaternions of length 0. Each branch that is not
+taken is fed harmless numbers, because `torch.where` lets the gradient of the branch it drops turn into NaN.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+_SERIES_BELOW = 1e-2
+"""Squared angle under which series are used: the first term left out is below 1e-17 there."""
+
+_NORM_FLOOR = 1e-12
+"""Quaternions shorter than this count as the identity: their direction is rounding noise."""
+
+# Maps the 16 products q_i q_j of a unit quaternion to the 9 entries of its matrix (row-major both).
+_PRODUCTS_TO_MATRIX = torch.zeros(16, 9, dtype=torch.float64)
+for _product, _entry, _factor in (
+    *((0, 0, 1), (5, 0, 1), (10, 0, -1), (15, 0, -1)),  # ww + xx - yy - zz
+    *((0, 4, 1), (5, 4, -1), (10, 4, 1), (15, 4, -1)),
+    *((0, 8, 1), (5, 8, -1), (10, 8, -1), (15, 8, 1)),
+    *((6, 1, 2), (3, 1, -2), (6, 3, 2), (3, 3, 2)),  # 2 (xy -+ wz)
+    *((7, 2, 2), (2, 2, 2), (7, 6, 2), (2, 6, -2)),  # 2 (xz +- wy)
+    *((11, 5, 2), (1, 5, -2), (11, 7, 2), (1, 7, 2)),  # 2 (yz -+ wx)
+):
+    _PRODUCTS_TO_MATRIX[_product, _entry] = _factor
+
+
+def axis_angle_to_matrix(vectors: Tensor) -> Tensor:
+    """Returns the rotation matrices of axis-angle vectors (Rodrigues' formula).
+
+    Args:
+        vectors: axis times angle in radians, `[..., 3]`; any angle.
+
+    Returns:
+        `[..., 3, 3]`.
+    """
+    squared = (vectors * vectors).sum(-1, keepdim=True)
+    is_small = squared < _SERIES_BELOW
+    angle = torch.where(is_small, 1.0, squared).sqrt()
+    half_sine = torch.sin(0.5 * angle)
+    # sin(a) / a and (1 - cos(a)) / a^2; the half angle avoids the cancellation in 1 - cos(a)
+    first = torch.where(is_small, _sine_ratio_series(squared), torch.sin(angle) / angle)
+    second = torch.where(is_small, _cosine_ratio_series(squared), 2.0 * (half_sine / angle) ** 2)
+    outer = (second * vectors).unsqueeze(-1) * vectors.unsqueeze(-2)
+    identity = torch.eye(3, dtype=vectors.dtype, device=vectors.device)
+    cosine = (1.0 - second * squared).unsqueeze(-1)
+    return cosine * identity + outer + skew(first * vectors)
+
+
+def _sine_ratio_series(squared: Tensor) -> Tensor:
+    return 1 - squared / 6 * (1 - squared / 20 * (1 - squared / 42 * (1 - squared / 72)))
+
+
+def _cosine_ratio_series(squared: Tensor) -> Tensor:
+    return 0.5 * (1 - squared / 12 * (1 - squared / 30 * (1 - squared / 56 * (1 - squared / 90))))
+
+
+def skew(vectors: Tensor) -> Tensor:
+    """Returns the matrices `[..., 3, 3]` whose product with x is the cross product of `vectors` and x."""
+    x, y, z = vectors.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+
+
+def normalize_quaternion(quats: Tensor) -> Tensor:
+    """Returns unit quaternions `[..., 4]`; the identity (with zero gradient) where the length is below 1e-12.
+
+    Components up to the largest finite number are fine: they are scaled down before they are squared.
+    """
+    largest = quats.detach().abs().amax(dim=-1, keepdim=True)
+    identity = torch.zeros_like(quats)
+    identity[..., 0] = 1.0
+    is_usable = largest >= _NORM_FLOOR
+    # a unit vector does not depend on the length, so the (detached) scale leaves value and gradient exact
+    scaled = torch.where(is_usable, quats / largest.clamp(min=_NORM_FLOOR), identity)
+    return scaled * (scaled * scaled).sum(-1, keepdim=True).rsqrt()
+
+
+def quaternion_to_matrix(quats: Tensor) -> Tensor:
+    """Returns the rotation matrices `[..., 3, 3]` of quaternions `[..., 4]`, which need not be normalised."""
+    unit = normalize_quaternion(quats)
+    products = (unit.unsqueeze(-1) * unit.unsqueeze(-2)).flatten(-2)
+    return (products @ _PRODUCTS_TO_MATRIX.to(products)).unflatten(-1, (3, 3))
+
+
+def matrix_to_quaternion(matrices: Tensor) -> Tensor:
+    """Returns the unit quaternions `[..., 4]`, w not negative, of rotation matrices `[..., 3, 3]`.
+
+    The largest of the four components is computed by a square root of at least 1, the others by division
+    by it, so that no rotation is ill-conditioned.
+    """
+    m = matrices
+    trace = m.diagonal(dim1=-2, dim2=-1).sum(-1)
+    d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    # four times the squared components, and for each the row 4 q_i q_j
+    wx, wy, wz = (m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1])
+    xy, xz, yz = (m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1])
+    squares = torch.stack([1 + trace, 1 + 2 * d0 - trace, 1 + 2 * d1 - trace, 1 + 2 * d2 - trace], dim=-1)
+    rows = torch.stack(
+        [
+            torch.stack([squares[..., 0], wx, wy, wz], dim=-1),
+            torch.stack([wx, squares[..., 1], xy, xz], dim=-1),
+            torch.stack([wy, xy, squares[..., 2], yz], dim=-1),
+            torch.stack([wz, xz, yz, squares[..., 3]], dim=-1),
+        ],
+        dim=-2,
+    )
+    largest = squares.detach().argmax(dim=-1)[..., None, None].expand(*squares.shape[:-1], 1, 4)
+    unit = normalize_quaternion(rows.gather(-2, largest).squeeze(-2))
+    return torch.where(unit[..., :1] < 0, -unit, unit)
+
+
+def quaternion_to_axis_angle(quats: Tensor) -> Tensor:
+    """Returns the axis-angle vectors `[..., 3]`, angle in 0..pi radians, of quaternions `[..., 4]`."""
+    unit = normalize_quaternion(quats)
+    unit = torch.where(unit[..., :1] < 0, -unit, unit)
+    real, imaginary = unit[..., :1], unit[..., 1:]
+    squared = (imaginary * imaginary).sum(-1, keepdim=True)
+    is_small = squared < _SERIES_BELOW * 1e-2
+    length = torch.where(is_small, 1.0, squared).sqrt()
+    # angle = 2 atan2(length, real); near 0 the series of atan(u) / u in u = length / real
+    ratio = squared / torch.where(is_small, real, 1.0) ** 2
+    series = 2 * (1 - ratio * (1 / 3 - ratio * (1 / 5 - ratio * (1 / 7 - ratio / 9))))
+    near = series / torch.where(is_small, real, 1.0)
+    far = 2 * torch.atan2(length, real) / length
+    return torch.where(is_small, near, far) * imaginary
+
+
+def matrix_to_axis_angle(matrices: Tensor) -> Tensor:
+    """Returns the axis-angle vectors `[..., 3]`, angle in 0..pi radians, of rotations `[..., 3, 3]`."""
+    return quaternion_to_axis_angle(matrix_to_quaternion(matrices))
+
+
+def quaternion_multiply(left: Tensor, right: Tensor) -> Tensor:
+    """Returns the products `[..., 4]` of quaternions: first `right` is applied, then `left`."""
+    w1, x1, y1, z1 = left.unbind(-1)
+    w2, x2, y2, z2 = right.unbind(-1)
+    return torch.stack(
+        [
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        ],
+        dim=-1,
+    )

@@ -1,0 +1,278 @@
+"""The avatar: body, canonical Gaussians, deformation networks; pose in, posed Gaussians out (paper §3.2)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from occfusion.errors import ConfigError
+from occfusion.files.bodyfile import NUM_JOINTS
+from occfusion.geometry.neighbours import Neighbours, nearest
+from occfusion.geometry.skinning import bone_transforms
+from occfusion.human.binding import Binding, Carried, bind, carry
+from occfusion.human.body import Body
+from occfusion.human.deform import PoseRefiner, SkinningField, skinning_weights
+from occfusion.human.gaussians import Gaussians
+from occfusion.splat.harmonics import evaluate
+from occfusion.types import Cloud, Pose
+
+ShFrame = Literal["canonical", "world"]
+SH_FRAMES: tuple[ShFrame, ...] = ("canonical", "world")
+
+GROUPS = {
+    "means": "means",
+    "sh0": "sh0",
+    "sh_rest": "sh_rest",
+    "opacity": "opacity_logits",
+    "scales": "log_scales",
+    "quats": "raw_quats",
+}
+"""Optimiser groups of the Gaussians, by the name of the parameter in each."""
+
+
+class Avatar(nn.Module):
+    """A person as Gaussians on a body.
+
+    The body's own arrays are not part of the state. A state of another number of Gaussians can be loaded.
+
+    Args:
+        body: the body, of the kind that the poses are for.
+        sh_degree: highest band of spherical harmonics that will be used; see `active_sh_degree`.
+        refine_pose: learn corrections of the body pose.
+        learn_skinning: learn offsets to the skinning weights.
+        skinning_every: the skinning network costs more than all else here, so in training it is evaluated,
+            and learns, at every k-th step only (`prepare`); between, its last values stand. Without gradients
+            it is always evaluated as it is.
+        sh_frame: frame in which viewing directions are given to the harmonics: `canonical`, turned back with
+            each Gaussian, so that colours turn with the limbs; or `world`, in which a light fixed in the
+            world is better kept.
+        gaussians: the Gaussians; one on each vertex of the body when None.
+    """
+
+    da_vertices: Tensor
+    da_transforms: Tensor
+    da_offsets: Tensor
+    skinning_offsets: Tensor
+
+    def __init__(
+        self,
+        body: Body,
+        *,
+        sh_degree: int = 3,
+        refine_pose: bool = True,
+        learn_skinning: bool = True,
+        skinning_every: int = 4,
+        sh_frame: str = "canonical",
+        gaussians: Gaussians | None = None,
+    ) -> None:
+        super().__init__()
+        if sh_frame not in SH_FRAMES:
+            raise ConfigError(f"sh_frame: {sh_frame!r} is not one of {', '.join(SH_FRAMES)}")
+        if skinning_every < 1:
+            raise ConfigError(f"skinning_every: {skinning_every} is not at least 1")
+        self.body = body
+        self.gaussians = Gaussians.on_body(body, sh_degree) if gaussians is None else gaussians
+        self.pose_refiner = PoseRefiner() if refine_pose else None
+        self.skinning_field = SkinningField() if learn_skinning else None
+        self.skinning_every = skinning_every
+        self.sh_frame = sh_frame
+        self.register_buffer("da_vertices", body.da_vertices(), persistent=False)
+        self.register_buffer("da_transforms", body.da_transforms(), persistent=False)
+        self.register_buffer("da_offsets", body.pose_offsets(body.da_rotations()), persistent=False)
+        # the network's last values in training; part of the state so that a resumed run goes on with the same
+        # ones
+        self.register_buffer("skinning_offsets", body.v_template.new_zeros(0, NUM_JOINTS))
+        self.to(body.v_template)
+        self._active_sh_degree = 0
+        self._is_skinning_due = True
+        self._memos: dict[str, tuple[Hashable, Any]] = {}
+
+    # -- settings that follow the training ------------------------------------------------------------------
+
+    @property
+    def active_sh_degree(self) -> int:
+        """Bands of spherical harmonics in use, 0 to the highest allocated."""
+        return self._active_sh_degree
+
+    @active_sh_degree.setter
+    def active_sh_degree(self, degree: int) -> None:
+        if not 0 <= degree <= self.gaussians.sh_degree:
+            raise ValueError(
+                f"active_sh_degree {degree}: this avatar has bands 0 to {self.gaussians.sh_degree}"
+            )
+        self._active_sh_degree = degree
+
+    def prepare(self, step: int) -> None:
+        """Gets ready for a training step: bounds the parameters, decides on the skinning network's turn.
+
+        What follows depends on `step` and the state alone, so that a resumed run takes the same turns.
+        """
+        self.gaussians.constrain()
+        self._is_skinning_due = step % self.skinning_every == 0
+
+    def parameter_groups(self, rates: Mapping[str, float]) -> list[dict[str, Any]]:
+        """Returns named parameter groups for one Adam.
+
+        Args:
+            rates: learning rates under `means`, `sh0`, `sh_rest`, `opacity`, `scales`, `quats`, `pose`,
+                `skinning`; others are ignored. The skinning network's is multiplied by `skinning_every`,
+                since Adam moves it that many times less often.
+        """
+        groups = [
+            {"name": name, "params": [getattr(self.gaussians, attribute)], "lr": rates[name]}
+            for name, attribute in GROUPS.items()
+            if name != "sh_rest" or self.gaussians.sh_degree > 0
+        ]
+        if self.pose_refiner is not None:
+            groups.append(
+                {"name": "pose", "params": list(self.pose_refiner.parameters()), "lr": rates["pose"]}
+            )
+        if self.skinning_field is not None:
+            rate = rates["skinning"] * self.skinning_every
+            groups.append({"name": "skinning", "params": list(self.skinning_field.parameters()), "lr": rate})
+        return groups
+
+    def refresh_vertex_index(self) -> Neighbours:
+        """Ties each Gaussian to its nearest vertex of the canonical body; returns what was found."""
+        found = nearest(self.gaussians.means.detach(), self.da_vertices)
+        self.gaussians.set_vertex_index(found.indices[:, 0])
+        return found
+
+    def forget_skinning(self) -> None:
+        """Drops the skinning network's last values, which belong to Gaussians that are no more."""
+        self.skinning_offsets = self.skinning_offsets.new_zeros(0, NUM_JOINTS)
+
+    # -- Gaussians in a pose --------------------------------------------------------------------------------
+
+    def forward(self, pose: Pose, camera_centre: Tensor) -> Cloud:
+        """Returns the Gaussians in a pose, world coordinates, coloured for a camera at `camera_centre [3]`.
+
+        Raises:
+            DataError: the pose has another number of joints, or more betas than the body.
+        """
+        carried = self.deform(pose)
+        covariances = carried.roots @ carried.roots.transpose(1, 2)
+        turned = carried.linear if self.sh_frame == "canonical" else None
+        colors = self._colors(carried.means, camera_centre, turned)
+        return Cloud(carried.means, covariances, self.gaussians.opacities, colors)
+
+    def deform(self, pose: Pose) -> Carried:
+        """Returns centres and covariance roots in a pose, world coordinates, without colours."""
+        body, means = self.body, self.gaussians.means
+        rotations = body.rotations(pose.global_orient, pose.body_pose)
+        if self.pose_refiner is not None:
+            rotations = self.pose_refiner(pose.body_pose.reshape(-1).to(means), rotations)
+        betas = body.check_betas(pose.betas)
+        joints = body.joint_template + body.joint_dirs[:, :, : len(betas)] @ betas
+        transforms = bone_transforms(rotations, joints, body.parents)
+        carried = carry(
+            means, self.gaussians.roots(), self._binding(), self._offsets(betas, rotations), transforms
+        )
+        return carried._replace(means=carried.means + pose.transl.to(means))
+
+    def canonical(self, camera_centre: Tensor, angle: float = 0.0) -> Cloud:
+        """Returns the Gaussians in the Da pose around their own origin; the centres are the parameters.
+
+        Args:
+            camera_centre: the camera that colours are for, `[3]`, metres.
+            angle: turn of the body about its vertical axis (+y) in radians, counter-clockwise seen from
+                above.
+        """
+        means: Tensor = self.gaussians.means
+        roots, turn = self.gaussians.roots(), None
+        if angle:
+            c, s = math.cos(angle), math.sin(angle)
+            turn = means.new_tensor([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+            means, roots = means @ turn.T, turn @ roots
+        turned = turn.expand(len(means), 3, 3) if turn is not None and self.sh_frame == "canonical" else None
+        colors = self._colors(means, camera_centre, turned)
+        return Cloud(means, roots @ roots.transpose(1, 2), self.gaussians.opacities, colors)
+
+    def _colors(self, means: Tensor, camera_centre: Tensor, turned: Tensor | None) -> Tensor:
+        """Returns colours `[N, 3]`; `turned [N, 3, 3]` is the turn that directions are taken back by."""
+        degree = self._active_sh_degree
+        directions = means - camera_centre.to(means)
+        if degree == 0:
+            return evaluate(self.gaussians.sh0, directions.detach(), 0)
+        if turned is not None:
+            # the transpose undoes the turn; what a blend of turns stretches is taken out by normalising
+            directions = (directions.unsqueeze(1) @ turned).squeeze(1)
+        return evaluate(self.gaussians.sh(degree), functional.normalize(directions, dim=-1), degree)
+
+    def _offsets(self, betas: Tensor, rotations: Tensor) -> Tensor:
+        """Returns the blend shapes of this shape and pose minus those of the canonical body, `[N, 3]`."""
+        offsets = self.body.shapedirs[:, :, : len(betas)] @ betas
+        if self.body.posedirs is not None:
+            offsets = offsets + (self.body.pose_offsets(rotations) - self.da_offsets)
+        return offsets[self.gaussians.vertex_index]
+
+    # -- skinning weights, and when they are computed -------------------------------------------------------
+
+    def _binding(self) -> Binding:
+        if self.skinning_field is None:
+            return self._memo(
+                "fixed", self._rows_key(), lambda: bind(self._body_weights(), self.da_transforms)
+            )
+        if not torch.is_grad_enabled():
+            return self._memo("exact", (self._rows_key(), self._field_key()), lambda: self._bind_field()[0])
+        is_kept = len(self.skinning_offsets) == self.gaussians.num_gaussians
+        if self.training and not self._is_skinning_due and is_kept:
+            key = (self._rows_key(), id(self.skinning_offsets), self.skinning_offsets._version)
+            return self._memo("kept", key, lambda: self._bind_offsets(self.skinning_offsets))
+        binding, offsets = self._bind_field()
+        if self.training:
+            self.skinning_offsets = offsets.detach()
+        return binding
+
+    def _bind_field(self) -> tuple[Binding, Tensor]:
+        assert self.skinning_field is not None
+        # the field moves Gaussians through their weights, not by pulling them to where weights are better
+        offsets = self.skinning_field(self.gaussians.means.detach())
+        return self._bind_offsets(offsets), offsets
+
+    def _bind_offsets(self, offsets: Tensor) -> Binding:
+        return bind(skinning_weights(self._body_weights(), offsets), self.da_transforms)
+
+    def _body_weights(self) -> Tensor:
+        weights = self.body.weights
+        return self._memo("body", self._rows_key(), lambda: weights[self.gaussians.vertex_index])
+
+    def _rows_key(self) -> Hashable:
+        weights = self.body.weights
+        return self.gaussians.revision, weights.dtype, weights.device
+
+    def _field_key(self) -> Hashable:
+        assert self.skinning_field is not None
+        tensors = [self.gaussians.means, *self.skinning_field.parameters()]
+        return tuple((id(tensor), tensor._version) for tensor in tensors)
+
+    def _memo(self, name: str, key: Hashable, make: Callable[[], Any]) -> Any:
+        """Returns what `make` gives, computed anew only when `key` has changed; never part of a graph."""
+        held = self._memos.get(name)
+        if held is None or held[0] != key:
+            # inference tensors could not be used in training afterwards
+            with torch.inference_mode(False), torch.no_grad():
+                held = self._memos[name] = (key, make())
+        return held[1]
+
+    # -- state ----------------------------------------------------------------------------------------------
+
+    def get_extra_state(self) -> dict[str, int]:
+        """Returns the state that is no tensor."""
+        return {"active_sh_degree": self._active_sh_degree}
+
+    def set_extra_state(self, state: dict[str, int]) -> None:
+        """Takes over what `get_extra_state` gave."""
+        self.active_sh_degree = int(state["active_sh_degree"])
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
+        given = state_dict.get(prefix + "skinning_offsets")
+        if given is not None and given.shape[1:] == self.skinning_offsets.shape[1:]:
+            self.skinning_offsets = self.skinning_offsets.new_empty(given.shape)
+        self._memos.clear()
+        super()._load_from_state_dict(state_dict, prefix, *args)

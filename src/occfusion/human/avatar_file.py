@@ -1,0 +1,133 @@
+"""`avatar.safetensors`: an avatar alone, without the body it belongs to."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from occfusion.errors import CheckpointError
+from occfusion.files.atomic import write_bytes
+from occfusion.files.ply import SplatTable, write_ply
+from occfusion.human.avatar import Avatar
+from occfusion.human.body import Body
+from occfusion.human.gaussians import PARAMETERS, Gaussians
+
+FORMAT = "occfusion avatar"
+VERSION = 1
+_KEPT_FOR_TRAINING = ("skinning_offsets", "_extra_state")
+"""Parts of the state that only the middle of a training needs."""
+
+
+def save_avatar(path: Path | str, avatar: Avatar) -> None:
+    """Writes the avatar whole or not at all; the header says which body it belongs to.
+
+    Raises:
+        DataError: the disk refuses.
+    """
+    description = {
+        "format": FORMAT,
+        "version": VERSION,
+        "body": avatar.body.digest(),
+        "gaussians": avatar.gaussians.num_gaussians,
+        "sh_degree": avatar.gaussians.sh_degree,
+        "active_sh_degree": avatar.active_sh_degree,
+        "sh_frame": avatar.sh_frame,
+        "refine_pose": avatar.pose_refiner is not None,
+        "learn_skinning": avatar.skinning_field is not None,
+        "skinning_every": avatar.skinning_every,
+    }
+    tensors = {
+        name: value.detach().cpu().contiguous()
+        for name, value in avatar.state_dict().items()
+        if name not in _KEPT_FOR_TRAINING
+    }
+    write_bytes(path, save(tensors, metadata={"avatar": json.dumps(description)}))
+
+
+def load_avatar(path: Path | str, body: Body) -> Avatar:
+    """Returns the avatar of a file, ready to be posed.
+
+    Raises:
+        CheckpointError: no such file, not an avatar, of another version, damaged, or made for another body.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such avatar file; it is written when a stage ends")
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            description = _description(path, file.metadata())
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise CheckpointError(f"{path}: not a safetensors file, or damaged ({error})") from error
+    if description["body"] != body.digest():
+        raise CheckpointError(
+            f"{path}: made for another body (hash {description['body']}, given one has {body.digest()}); "
+            "set body.path to the file it was trained with"
+        )
+    try:
+        avatar = _empty_avatar(body, description)
+        avatar.load_state_dict(tensors, strict=False)
+        missing = set(avatar.state_dict()) - set(tensors) - set(_KEPT_FOR_TRAINING)
+        extra = set(tensors) - set(avatar.state_dict())
+        if missing or extra:
+            raise ValueError(f"missing: {sorted(missing)}, unknown: {sorted(extra)}")
+        avatar.active_sh_degree = int(description["active_sh_degree"])
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise CheckpointError(f"{path}: its content does not fit its description ({error})") from error
+    _check(path, avatar)
+    return avatar.eval()
+
+
+def _description(path: Path, metadata: dict[str, str] | None) -> dict[str, Any]:
+    try:
+        description: Any = json.loads((metadata or {})["avatar"])
+    except (KeyError, ValueError) as error:
+        raise CheckpointError(f"{path}: a safetensors file, but not an avatar") from error
+    if not isinstance(description, dict) or description.get("format") != FORMAT:
+        raise CheckpointError(f"{path}: a safetensors file, but not an avatar")
+    if description.get("version") != VERSION:
+        raise CheckpointError(
+            f"{path}: written in version {description.get('version')} of the format, "
+            f"this program reads {VERSION}"
+        )
+    return description
+
+
+def _empty_avatar(body: Body, description: dict[str, Any]) -> Avatar:
+    start = body.v_template.new_zeros(0, 3)
+    return Avatar(
+        body,
+        refine_pose=bool(description["refine_pose"]),
+        learn_skinning=bool(description["learn_skinning"]),
+        skinning_every=int(description["skinning_every"]),
+        sh_frame=str(description["sh_frame"]),
+        gaussians=Gaussians(start, start, int(description["sh_degree"])),
+    )
+
+
+def _check(path: Path, avatar: Avatar) -> None:
+    for name, value in avatar.gaussians.state_dict().items():
+        if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+            raise CheckpointError(f"{path}: gaussians.{name} holds NaN or infinite values")
+        if len(value) != avatar.gaussians.num_gaussians:
+            raise CheckpointError(
+                f"{path}: gaussians.{name} has {len(value)} rows, the means have another number"
+            )
+    index = avatar.gaussians.vertex_index
+    if index.numel() and not 0 <= int(index.min()) <= int(index.max()) < avatar.body.num_vertices:
+        raise CheckpointError(f"{path}: gaussians.vertex_index names vertices that the body does not have")
+
+
+def write_gaussians_ply(path: Path | str, gaussians: Gaussians) -> None:
+    """Writes the canonical Gaussians in the layout of 3DGS, raw values.
+
+    Raises:
+        DataError: a value is not finite, or the disk refuses.
+    """
+    values = {name: getattr(gaussians, name).detach().float().cpu().numpy() for name in PARAMETERS}
+    write_ply(path, SplatTable(**values))

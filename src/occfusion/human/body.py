@@ -1,0 +1,200 @@
+"""The body: SMPL's form, smplx's conventions (paper §3.1)."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from occfusion.errors import DataError
+from occfusion.files.bodyfile import NUM_JOINTS, BodyArrays, load_body_arrays
+from occfusion.geometry.rotation import axis_angle_to_matrix
+from occfusion.geometry.skinning import blend, bone_transforms, posed_joints, skin_points
+from occfusion.types import Pose
+
+EMBEDDED_BODY = "free_body.npz"
+
+DA_POSE = ((1, math.radians(45)), (2, math.radians(-45)), (7, math.radians(-30)), (8, math.radians(30)))
+"""GauHuman's canonical pose, legs apart: `(joint, turn about z in radians)`.
+
+All its turns are about z and stay within 45 degrees along every chain, so the linear part of any convex blend
+of its bone transforms is `c, s` in the x-y plane with `c >= cos 45`: its determinant is at least 1/2, and its
+inverse always exists.
+"""
+
+
+class Rest(NamedTuple):
+    """A body before posing: `vertices [V, 3]` and `joints [24, 3]`, metres."""
+
+    vertices: Tensor
+    joints: Tensor
+
+
+class Body(nn.Module):
+    """A skinned body with 24 joints and shape components, and pose blend shapes if the file has them.
+
+    All arrays are buffers left out of state dicts: an avatar's checkpoint does not carry a copy of a body
+    whose licence may forbid it.
+
+    Args:
+        arrays: the checked content of a body file.
+        dtype: floating point type of the buffers.
+    """
+
+    v_template: Tensor
+    shapedirs: Tensor
+    posedirs: Tensor | None
+    joint_template: Tensor
+    joint_dirs: Tensor
+    weights: Tensor
+    faces: Tensor
+
+    def __init__(self, arrays: BodyArrays, dtype: torch.dtype = torch.float32) -> None:
+        super().__init__()
+        self.parents: tuple[int, ...] = tuple(int(parent) for parent in arrays.parents)
+        floats = {
+            "v_template": arrays.v_template,
+            "shapedirs": arrays.shapedirs,
+            "posedirs": arrays.posedirs,
+            "joint_template": arrays.J_template,
+            "joint_dirs": arrays.J_dirs,
+            "weights": arrays.weights,
+        }
+        for name, array in floats.items():
+            tensor = None if array is None else torch.as_tensor(array).to(dtype)
+            self.register_buffer(name, tensor, persistent=False)
+        self.register_buffer("faces", torch.as_tensor(arrays.faces), persistent=False)
+
+    @property
+    def num_vertices(self) -> int:
+        """Vertices of the template."""
+        return len(self.v_template)
+
+    @property
+    def num_betas(self) -> int:
+        """Shape components the body has."""
+        return self.shapedirs.shape[2]
+
+    def forward(
+        self, betas: Tensor, global_orient: Tensor, body_pose: Tensor, transl: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Returns posed vertices `[V, 3]` and joints `[24, 3]` in metres, in the conventions of smplx.
+
+        Args:
+            betas: shape components, `[B]`; fewer than the body has are completed with zeros.
+            global_orient: rotation about the pelvis joint as axis-angle, `[3]`, radians.
+            body_pose: axis-angles of joints 1 to 23 relative to their parents, `[69]` or `[23, 3]`, radians.
+            transl: added last, `[3]`, metres.
+
+        Raises:
+            DataError: more betas than the body has, or inputs of another shape.
+        """
+        rotations = self.rotations(global_orient, body_pose)
+        rest = self.rest(betas)
+        transforms = bone_transforms(rotations, rest.joints, self.parents)
+        points = rest.vertices + self.pose_offsets(rotations)
+        vertices = skin_points(points, blend(self.weights, transforms))
+        return vertices + transl, posed_joints(transforms, rest.joints) + transl
+
+    def rest(self, betas: Tensor) -> Rest:
+        """Returns the shaped body in its rest pose, without pose blend shapes.
+
+        Raises:
+            DataError: more betas than the body has.
+        """
+        betas = self.check_betas(betas)
+        return Rest(
+            self.v_template + self.shapedirs[:, :, : len(betas)] @ betas,
+            self.joint_template + self.joint_dirs[:, :, : len(betas)] @ betas,
+        )
+
+    def check_betas(self, betas: Tensor) -> Tensor:
+        """Returns the shape components as a vector in the body's dtype.
+
+        Raises:
+            DataError: it is no vector, or longer than the body has components.
+        """
+        if betas.dim() != 1 or len(betas) > self.num_betas:
+            raise DataError(
+                f"betas of shape {list(betas.shape)}: this body takes one vector of at most {self.num_betas} "
+                "shape components; use a body file with more, or drop those at the end"
+            )
+        return betas.to(self.v_template)
+
+    def rotations(self, global_orient: Tensor, body_pose: Tensor) -> Tensor:
+        """Returns the rotation of each joint relative to its parent, `[24, 3, 3]`.
+
+        Raises:
+            DataError: not 3 and 69 numbers.
+        """
+        if global_orient.numel() != 3 or body_pose.numel() != 3 * (NUM_JOINTS - 1):
+            raise DataError(
+                f"pose of {global_orient.numel()} + {body_pose.numel()} numbers; expected 3 for the root and "
+                f"{3 * (NUM_JOINTS - 1)} for the other {NUM_JOINTS - 1} joints"
+            )
+        axis_angles = torch.cat([global_orient.reshape(1, 3), body_pose.reshape(-1, 3)])
+        return axis_angle_to_matrix(axis_angles.to(self.v_template))
+
+    def pose_offsets(self, rotations: Tensor) -> Tensor:
+        """Returns the pose blend shapes at `rotations [24, 3, 3]`: `[V, 3]`, metres; zero without any."""
+        if self.posedirs is None:
+            return torch.zeros_like(self.v_template)
+        identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
+        return self.posedirs @ (rotations[1:] - identity).flatten()
+
+    def da_rotations(self) -> Tensor:
+        """Returns the joint rotations of the canonical Da pose, `[24, 3, 3]`."""
+        pose = self.da_pose()
+        return self.rotations(pose.global_orient, pose.body_pose)
+
+    def da_transforms(self) -> Tensor:
+        """Returns the bone transforms from rest to the Da pose of the mean shape, `[24, 4, 4]`."""
+        return bone_transforms(self.da_rotations(), self.joint_template, self.parents)
+
+    def da_vertices(self) -> Tensor:
+        """Returns the mean-shape body in the Da pose, `[V, 3]`, metres: where Gaussians start."""
+        points = self.v_template + self.pose_offsets(self.da_rotations())
+        return skin_points(points, blend(self.weights, self.da_transforms()))
+
+    def da_pose(self) -> Pose:
+        """Returns the Da pose as body parameters of the mean shape."""
+        axis_angles = torch.zeros_like(self.joint_template)
+        for joint, turn in DA_POSE:
+            axis_angles[joint, 2] = turn
+        zeros = torch.zeros_like(axis_angles[0])
+        return Pose(zeros.new_zeros(0), zeros, axis_angles[1:].flatten(), zeros)
+
+    def digest(self) -> str:
+        """Returns a hash of all arrays at float32: what an avatar file names its body by."""
+        content = hashlib.sha256()
+        for name, tensor in self._arrays():
+            plain = tensor.detach().cpu()
+            plain = plain.float() if plain.is_floating_point() else plain.int()
+            content.update(f"{name}{list(plain.shape)}".encode())
+            content.update(plain.contiguous().numpy().tobytes())
+        content.update(str(self.parents).encode())
+        return content.hexdigest()[:32]
+
+    def _arrays(self) -> Iterator[tuple[str, Tensor]]:
+        yield from self.named_buffers(recurse=False)
+
+
+def load_body(path: Path | str, dtype: torch.dtype = torch.float32) -> Body:
+    """Returns the body of a `.npz`, `.safetensors` or official `.pkl` file with SMPL's keys.
+
+    Raises:
+        DataError: the file is missing, unsafe, damaged, or no body with 24 joints.
+    """
+    return Body(load_body_arrays(path), dtype)
+
+
+def embedded_body(dtype: torch.dtype = torch.float32) -> Body:
+    """Returns the free body that comes with the package (CC0, see `assets/NOTICE.md`)."""
+    with resources.as_file(resources.files("occfusion") / "assets" / EMBEDDED_BODY) as path:
+        return load_body(path, dtype)

@@ -1,0 +1,86 @@
+"""What the avatar learns of deformation: pose corrections and skinning weights (GauHuman's two networks)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from occfusion.files.bodyfile import NUM_JOINTS
+from occfusion.geometry.rotation import axis_angle_to_matrix
+
+_BODY_ANGLES = 3 * (NUM_JOINTS - 1)
+
+_LAST_LAYER = 1e-5
+"""Bound of the last layer's uniform start: corrections begin at practically none."""
+
+_WEIGHT_FLOOR = 1e-9
+"""Added to the body's weights before the logarithm, so that weight 0 can be learned away from."""
+
+
+class PoseRefiner(nn.Module):
+    """Corrections of the 23 body rotations from the body pose itself; the root is left as given."""
+
+    def __init__(self, width: int = 128) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(_BODY_ANGLES, width), nn.ReLU(),
+            nn.Linear(width, width), nn.ReLU(),
+            nn.Linear(width, _BODY_ANGLES),
+        )  # fmt: skip
+        last = self.layers[-1]
+        assert isinstance(last, nn.Linear)
+        nn.init.uniform_(last.weight, -_LAST_LAYER, _LAST_LAYER)
+        nn.init.uniform_(last.bias, -_LAST_LAYER, _LAST_LAYER)
+
+    def forward(self, body_pose: Tensor, rotations: Tensor) -> Tensor:
+        """Returns the joint rotations `[24, 3, 3]` with corrections multiplied from the right.
+
+        Args:
+            body_pose: axis-angles, `[69]`, radians: what the network sees.
+            rotations: joint rotations as the data give them, `[24, 3, 3]`.
+        """
+        corrections = axis_angle_to_matrix(self.layers(body_pose).unflatten(-1, (NUM_JOINTS - 1, 3)))
+        return torch.cat([rotations[:1], rotations[1:] @ corrections])
+
+
+class SkinningField(nn.Module):
+    """Offsets to the logarithms of skinning weights, as a function of the place in canonical space."""
+
+    def __init__(self, frequencies: int = 10, width: int = 128) -> None:
+        super().__init__()
+        self.frequencies = frequencies
+        encoded = 3 + 6 * frequencies
+        self.first = nn.Linear(encoded, width)
+        self.second = nn.Linear(width, width)
+        self.third = nn.Linear(width + encoded, width)  # the encoding is given once more: the skip
+        self.fourth = nn.Linear(width, width)
+        self.last = nn.Linear(width, NUM_JOINTS)
+        nn.init.uniform_(self.last.weight, -_LAST_LAYER, _LAST_LAYER)
+        nn.init.uniform_(self.last.bias, -_LAST_LAYER, _LAST_LAYER)
+
+    def forward(self, means: Tensor) -> Tensor:
+        """Returns offsets `[N, 24]` for canonical places `[N, 3]` in metres."""
+        encoded = encode_positions(means, self.frequencies)
+        hidden = functional.relu(self.first(encoded))
+        hidden = functional.relu(self.second(hidden))
+        hidden = functional.relu(self.third(torch.cat([encoded, hidden], dim=-1)))
+        hidden = functional.relu(self.fourth(hidden))
+        return self.last(hidden)
+
+
+def encode_positions(positions: Tensor, frequencies: int) -> Tensor:
+    """Returns positions `[N, 3]`, then sines and cosines of 2^0, 2^1, ... times them, `[N, 3 + 6 F]`."""
+    octaves = torch.exp2(torch.arange(frequencies, dtype=positions.dtype, device=positions.device))
+    phases = (positions.unsqueeze(-2) * octaves.unsqueeze(-1)).flatten(-2)
+    return torch.cat([positions, phases.sin(), phases.cos()], dim=-1)
+
+
+def skinning_weights(body_weights: Tensor, offsets: Tensor) -> Tensor:
+    """Returns weights `[N, 24]`: softmax of the body's log-weights plus offsets; rows sum to 1.
+
+    Args:
+        body_weights: weights of each Gaussian's body vertex, `[N, 24]`.
+        offsets: what `SkinningField` gives, `[N, 24]`.
+    """
+    return torch.softmax((body_weights + _WEIGHT_FLOOR).log() + offsets, dim=-1)

@@ -1,0 +1,164 @@
+"""The canonical Gaussians: parameters, their activations and their start on the body (paper §3.2)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from occfusion.geometry.neighbours import nearest_others
+from occfusion.geometry.rotation import quaternion_to_matrix
+from occfusion.human.body import Body
+
+MIN_SCALE, MAX_SCALE = 1e-5, 0.5
+"""Bounds on standard deviations in metres: from a hair's tenth to a torso. Outside, nothing of a person is
+drawn, and exponentials head for overflow."""
+
+MAX_LOGIT = 12.0
+"""Bound on opacity logits: past it the sigmoid of float32 stops having a useful gradient."""
+
+INITIAL_OPACITY = 0.1
+INITIAL_NEIGHBOURS = 3
+"""Neighbours whose mean squared distance gives a Gaussian's first size (3DGS)."""
+
+_NORM_RANGE = (0.5, 2.0)
+"""Quaternions are brought back to length 1 when they leave this range; inside, Adam's steps suit them as they
+are.
+"""
+
+MEANS_HORIZON = 30_000
+"""Steps over which 3DGS lowers the learning rate of the means, whatever the length of the training."""
+
+PARAMETERS = ("means", "raw_quats", "log_scales", "opacity_logits", "sh0", "sh_rest")
+"""Names of the parameters; each has one row a Gaussian."""
+
+
+class Gaussians(nn.Module):
+    """Canonical Gaussians, one row each in every parameter.
+
+    Args:
+        means: centres in the Da pose of the mean-shape body, `[N, 3]`, metres.
+        scales: standard deviations along the own axes, `[N, 3]`, metres.
+        sh_degree: highest band of spherical harmonics that will ever be used; higher ones are not allocated.
+    """
+
+    vertex_index: Tensor
+
+    def __init__(self, means: Tensor, scales: Tensor, sh_degree: int) -> None:
+        super().__init__()
+        if not 0 <= sh_degree <= 3:
+            raise ValueError(f"sh_degree is {sh_degree}; 0 to 3 are supported")
+        n, bands = len(means), (sh_degree + 1) ** 2
+        quats = torch.zeros(n, 4).to(means)
+        quats[:, 0] = 1.0
+        logit = math.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY))
+        self.means = nn.Parameter(means.detach().clone())
+        self.raw_quats = nn.Parameter(quats)
+        self.log_scales = nn.Parameter(scales.detach().clamp(MIN_SCALE, MAX_SCALE).log())
+        self.opacity_logits = nn.Parameter(means.new_full((n,), logit))
+        self.sh0 = nn.Parameter(means.new_zeros(n, 1, 3))  # grey
+        self.sh_rest = nn.Parameter(means.new_zeros(n, bands - 1, 3))
+        self.register_buffer("vertex_index", torch.zeros(n, dtype=torch.int64, device=means.device))
+        self.revision = 0
+        """Counts replacements of rows or of their body vertices: what was derived from them is stale then."""
+
+    @classmethod
+    def on_body(cls, body: Body, sh_degree: int) -> Gaussians:
+        """Returns one Gaussian on each vertex of the mean-shape body in the Da pose, round, grey and faint.
+
+        Its size is the root of the mean squared distance to its three nearest neighbours.
+        """
+        means = body.da_vertices()
+        distances = nearest_others(means, min(INITIAL_NEIGHBOURS, len(means) - 1)).distances
+        sizes = distances.square().mean(dim=1, keepdim=True).sqrt()
+        gaussians = cls(means, sizes.expand(-1, 3), sh_degree)
+        gaussians.set_vertex_index(torch.arange(len(means), device=means.device))
+        return gaussians
+
+    @property
+    def num_gaussians(self) -> int:
+        """Gaussians at present."""
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Highest band of spherical harmonics that is allocated."""
+        return math.isqrt(self.sh_rest.shape[1] + 1) - 1
+
+    @property
+    def scales(self) -> Tensor:
+        """Standard deviations, `[N, 3]`, metres, within their bounds."""
+        return self.log_scales.clamp(math.log(MIN_SCALE), math.log(MAX_SCALE)).exp()
+
+    @property
+    def opacities(self) -> Tensor:
+        """Opacities, `[N]`, between 6e-6 and 1 - 6e-6."""
+        return self.opacity_logits.clamp(-MAX_LOGIT, MAX_LOGIT).sigmoid()
+
+    def roots(self) -> Tensor:
+        """Returns a root R S of each covariance: rotation times scales, `[N, 3, 3]`, metres."""
+        return quaternion_to_matrix(self.raw_quats) * self.scales.unsqueeze(-2)
+
+    def sh(self, degree: int) -> Tensor:
+        """Returns the coefficients up to `degree`, `[N, (degree + 1)^2, 3]`."""
+        count = (degree + 1) ** 2 - 1
+        return torch.cat([self.sh0, self.sh_rest[:, :count]], dim=1) if count else self.sh0
+
+    def set_vertex_index(self, index: Tensor) -> None:
+        """Names the body vertex whose skinning and blend shapes each Gaussian follows, `[N]`."""
+        self.vertex_index = index.to(device=self.means.device, dtype=torch.int64)
+        self.revision += 1
+
+    def replace(self, rows: dict[str, Tensor], vertex_index: Tensor) -> None:
+        """Puts other Gaussians in place of the present ones; `editing.write` sees to the optimiser."""
+        for name in PARAMETERS:
+            setattr(self, name, nn.Parameter(rows[name].detach().contiguous()))
+        self.set_vertex_index(vertex_index)
+
+    @torch.no_grad()
+    def constrain(self) -> None:
+        """Brings parameters that left their bounds back, so that their gradient is never cut off for good."""
+        self.log_scales.clamp_(math.log(MIN_SCALE), math.log(MAX_SCALE))
+        self.opacity_logits.clamp_(-MAX_LOGIT, MAX_LOGIT)
+        norms = self.raw_quats.norm(dim=-1, keepdim=True)
+        is_off = (norms < _NORM_RANGE[0]) | (norms > _NORM_RANGE[1])
+        if bool(is_off.any()):
+            self.raw_quats.div_(torch.where(is_off & (norms > 0), norms, 1.0))
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
+        """Makes room for the number of Gaussians that the state has, then loads as usual."""
+        for name in (*PARAMETERS, "vertex_index"):
+            have, given = getattr(self, name), state_dict.get(prefix + name)
+            if given is not None and given.shape[1:] == have.shape[1:] and len(given) != len(have):
+                # the Parameter object stays, so an optimiser made before goes on holding it
+                have.data = have.new_empty(given.shape)
+                have.grad = None
+        super()._load_from_state_dict(state_dict, prefix, *args)
+        self.revision += 1
+
+
+def means_rate(
+    step: int, initial: float = 1.6e-4, final: float = 1.6e-6, horizon: int = MEANS_HORIZON,
+    delay_steps: int = 0, delay_factor: float = 0.01,
+) -> float:  # fmt: skip
+    """Returns the learning rate of the means at a step: log-linear over `horizon` steps.
+
+    Args:
+        step: steps taken so far.
+        initial: rate at step 0, learning rate of Adam.
+        final: rate at `horizon` and after.
+        horizon: in steps.
+        delay_steps: steps over which the rate rises, along a quarter sine, from `delay_factor` of its value.
+            0, as 3DGS runs it, means no delay, and then `delay_factor` plays no part.
+        delay_factor: see `delay_steps`.
+    """
+    if initial == 0 or final == 0:
+        return 0.0 if initial == 0 else initial * max(0.0, 1 - step / horizon)
+    share = min(max(step / horizon, 0.0), 1.0)
+    rate = math.exp((1 - share) * math.log(initial) + share * math.log(final))
+    if delay_steps <= 0:
+        return rate
+    rise = math.sin(0.5 * math.pi * min(max(step / delay_steps, 0.0), 1.0))
+    return rate * (delay_factor + (1 - delay_factor) * rise)

@@ -1,0 +1,55 @@
+"""Pictures for people: truth, rendering and error side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from occfusion.files.atomic import write_png
+from occfusion.types import Frame, Rendering
+
+ERROR_GAIN = 4.0
+"""Error maps show four times the absolute difference: a level of 64 of 255 is white."""
+CAPTION_HEIGHT = 20
+Image = NDArray[np.uint8]
+
+
+def to_uint8(rgb: Tensor) -> Image:
+    """Returns a `[H, W, 3]` picture in 0..1 as 8-bit values."""
+    return (rgb.detach().clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
+
+
+def error_map(a: Tensor, b: Tensor) -> Tensor:
+    """Returns the amplified mean absolute difference as a grey picture, `[H, W, 3]`."""
+    grey = (a - b).abs().mean(dim=-1, keepdim=True) * ERROR_GAIN
+    return grey.clamp(0, 1).expand(-1, -1, 3)
+
+
+def captioned(image: Image, text: str) -> Image:
+    """Returns the picture with a line of text above it."""
+    bar = np.full((CAPTION_HEIGHT, image.shape[1], 3), 255, np.uint8)
+    cv2.putText(bar, text, (4, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.concatenate([bar, image])
+
+
+def write_comparison(path: Path, frames: Sequence[Frame], render: Callable[[Frame], Rendering]) -> None:
+    """Writes one row a frame: observation, rendering, truth and error (the last two where truth is known).
+
+    Columns are cut to the person's height so that a row fits a screen.
+    """
+    rows = []
+    with torch.inference_mode():
+        for frame in frames:
+            ours = render(frame).rgb
+            columns = [(f"input {frame.name}", frame.rgb), ("rendering", ours)]
+            if frame.truth is not None:
+                columns += [("truth", frame.truth.rgb), (f"error x{ERROR_GAIN:g}", error_map(ours, frame.truth.rgb))]
+            rows.append(np.concatenate([captioned(to_uint8(c), t) for t, c in columns], axis=1))
+    if rows:
+        write_png(path, np.concatenate(rows))

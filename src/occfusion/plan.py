@@ -1,0 +1,85 @@
+"""What a scene needs and what is left out, each with the measured reason (`plan.json`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from occfusion.config import STAGES, Settings, stages_to_run
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One part of the system: whether it is used, and why.
+
+    Attributes:
+        part: what is decided about.
+        used: whether the run does it.
+        reason: the setting or measurement that decided.
+    """
+
+    part: str
+    used: bool
+    reason: str
+
+
+def make_plan(settings: Settings, summary: Mapping[str, Any], backend: str) -> list[Decision]:
+    """Returns the decisions for a run, from its settings and from what the data folder showed.
+
+    Args:
+        settings: the run's settings.
+        summary: the DataModule's summary; uses `occluded_frames` and `frames`.
+        backend: the rasteriser backend that runs.
+    """
+    optim = settings.optim
+    steps = optim.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
+    plan = [_stage_decision(stage, settings) for stage in STAGES]
+    plan.append(Decision("complete masks", False, f"variant {settings.variant.name} trains on visible masks"))
+    share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
+    plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
+    for name in ("rgb", "mask", "ssim", "lpips"):
+        weight = getattr(optim, f"lambda_{name}")
+        plan.append(Decision(f"loss term {name}", weight > 0, f"optim.lambda_{name} = {weight:g}"))
+    if optim.lambda_lpips:
+        every, crop = optim.perceptual_every, optim.perceptual_crop
+        plan.append(
+            Decision("perceptual term at every step and on the whole person", every == 1 and crop >= 2048,
+                     f"every {every} steps on a random crop of {crop} px: it costs more than all else together")
+        )  # fmt: skip
+    highest = reached_sh_degree(settings)
+    plan.append(
+        Decision("spherical harmonics above the active degree", False,
+                 f"degree {highest} is the highest reached in {steps} steps; higher bands are not allocated")
+    )  # fmt: skip
+    plan.append(Decision("pose refinement", optim.refine_pose, f"optim.refine_pose = {optim.refine_pose}"))
+    plan.append(Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"))
+    plan.append(Decision("densification", optim.densify, f"optim.densify = {optim.densify}"))
+    plan.append(Decision("pixels outside the person's padded box", False, "rendered crops hold every Gaussian"))
+    plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
+    return plan
+
+
+def reached_sh_degree(settings: Settings) -> int:
+    """Returns the highest SH degree that the run's steps reach; higher bands need not exist."""
+    optim = settings.optim
+    steps = optim.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
+    return min(optim.sh_degree, (steps - 1) // optim.sh_every)
+
+
+def left_out(plan: list[Decision]) -> list[str]:
+    """Returns the names of the parts that are not used."""
+    return [decision.part for decision in plan if not decision.used]
+
+
+def plan_json(plan: list[Decision]) -> dict[str, Any]:
+    """Returns the plan as it stands in `plan.json`."""
+    return {"decisions": [asdict(decision) for decision in plan]}
+
+
+def _stage_decision(stage: str, settings: Settings) -> Decision:
+    if stage not in settings.variant.stages:
+        return Decision(f"stage {stage}", False, f"variant {settings.variant.name} does not need it")
+    if stage not in stages_to_run(settings):
+        return Decision(f"stage {stage}", False, f"stage={settings.stage.name} asks for another")
+    return Decision(f"stage {stage}", True, f"variant {settings.variant.name} needs it")

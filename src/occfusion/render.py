@@ -1,0 +1,23 @@
+"""Avatar x camera -> picture, outside training."""
+
+from __future__ import annotations
+
+import torch
+
+from occfusion.human.avatar import Avatar
+from occfusion.splat import rasterize
+from occfusion.types import Camera, Cloud, Frame, Rendering
+
+
+def render_cloud(cloud: Cloud, camera: Camera, backend: str, background: torch.Tensor | None = None) -> Rendering:
+    """Returns the picture of posed Gaussians; black behind them when `background` `[3]` is None."""
+    return rasterize(
+        cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,
+        camera.width, camera.height, background=background, covariances=cloud.covariances, backend=backend,
+    )  # fmt: skip
+
+
+@torch.inference_mode()
+def render_frame(avatar: Avatar, frame: Frame, backend: str) -> Rendering:
+    """Returns the avatar in a frame's pose as that frame's camera sees it, over black; no gradients."""
+    return render_cloud(avatar(frame.pose, frame.camera.centre), frame.camera, backend)

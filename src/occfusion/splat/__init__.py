@@ -1,0 +1,7 @@
+"""Differentiable splatting of 3D Gaussians: one stateless function and its backends."""
+
+from occfusion.splat.backends.registry import resolve_backend
+from occfusion.splat.limits import Limits
+from occfusion.splat.rasterize import rasterize
+
+__all__ = ["Limits", "rasterize", "resolve_backend"]

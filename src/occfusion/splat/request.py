@@ -1,0 +1,178 @@
+"""One checked call of the rasteriser, as the backends receive it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from occfusion.errors import ConfigError
+from occfusion.splat.harmonics import MAX_DEGREE, num_coefficients
+from occfusion.splat.limits import DEFAULT_LIMITS, Limits
+from occfusion.types import Box
+
+
+class Intrinsics(NamedTuple):
+    """Focal lengths and principal point in pixels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True)
+class Request:
+    """Gaussians, camera and options; tensors share one dtype and device.
+
+    Attributes:
+        means: centres, `[N, 3]`, metres, world frame.
+        quats: `[N, 4]`, w x y z, any norm; None with `covariances`.
+        scales: standard deviations, `[N, 3]`, metres; None with `covariances`.
+        opacities: `[N]`, 0..1.
+        colors: `[N, 3]`, or harmonics coefficients `[N, K, 3]` with `sh_degree`.
+        viewmat: world to camera, `[4, 4]`.
+        intrinsics: focal lengths and principal point of the full picture, pixels.
+        width: of the full picture, pixels.
+        height: of the full picture, pixels.
+        crop: the window that is wanted, `(x, y, width, height)` in the full picture.
+        sh_degree: active harmonics degree, None when `colors` are colours.
+        covariances: `[N, 3, 3]`, square metres, or None.
+        screen_offsets: `[N, 2]` pixels, added to the projected centres, or None.
+        antialiased: whether the dilation keeps a splat's mass (its opacity is scaled).
+        near: depth in metres at or below which Gaussians are culled.
+        limits: cut-offs of the image formation.
+    """
+
+    means: Tensor
+    quats: Tensor | None
+    scales: Tensor | None
+    opacities: Tensor
+    colors: Tensor
+    viewmat: Tensor
+    intrinsics: Intrinsics
+    width: int
+    height: int
+    crop: Box
+    sh_degree: int | None = None
+    covariances: Tensor | None = None
+    screen_offsets: Tensor | None = None
+    antialiased: bool = False
+    near: float = 0.01
+    limits: Limits = DEFAULT_LIMITS
+
+    def rows(self, index: Tensor) -> Request:
+        """Returns the request for the Gaussians `index` `[V]` alone, in that order."""
+
+        def pick(tensor: Tensor | None) -> Tensor | None:
+            return None if tensor is None else tensor.index_select(0, index)
+
+        return replace(
+            self,
+            means=self.means.index_select(0, index),
+            quats=pick(self.quats),
+            scales=pick(self.scales),
+            opacities=self.opacities.index_select(0, index),
+            colors=self.colors.index_select(0, index),
+            covariances=pick(self.covariances),
+            screen_offsets=pick(self.screen_offsets),
+        )
+
+    def gaussian_tensors(self) -> dict[str, Tensor]:
+        """Returns the per-Gaussian inputs that are given, by name."""
+        named = {
+            "means": self.means,
+            "quats": self.quats,
+            "scales": self.scales,
+            "opacities": self.opacities,
+            "colors": self.colors,
+            "covariances": self.covariances,
+            "screen_offsets": self.screen_offsets,
+        }
+        return {name: tensor for name, tensor in named.items() if tensor is not None}
+
+
+def check_request(request: Request) -> None:
+    """Refuses inputs that no backend can honour.
+
+    Raises:
+        ConfigError: naming the argument, what was given and what is wanted.
+    """
+    _check_kinds(request)
+    _check_shapes(request)
+    x, y, w, h = request.crop
+    if request.width < 1 or request.height < 1:
+        raise ConfigError(f"rasterize: width x height must be at least 1 x 1, got {request.width} x {request.height}")
+    if w < 1 or h < 1 or x < 0 or y < 0 or x + w > request.width or y + h > request.height:
+        raise ConfigError(
+            f"rasterize: crop (x, y, width, height) = {request.crop} is not inside the"
+            f" {request.width} x {request.height} picture; clip it first"
+        )
+    if not request.near > 0:
+        raise ConfigError(f"rasterize: near must be a positive depth in metres, got {request.near}")
+
+
+def _check_kinds(request: Request) -> None:
+    has_factors = request.quats is not None and request.scales is not None
+    if (request.covariances is None) != has_factors or (request.quats is None) != (request.scales is None):
+        raise ConfigError("rasterize: give either quats and scales, or covariances")
+    means = request.means
+    if means.dtype not in (torch.float32, torch.float64):
+        raise ConfigError(f"rasterize: means must be float32 or float64 (half precision blends wrongly), got {means.dtype}")
+    for name, tensor in request.gaussian_tensors().items():
+        if tensor.dtype != means.dtype or tensor.device != means.device:
+            raise ConfigError(
+                f"rasterize: {name} is {tensor.dtype} on {tensor.device}, but means is {means.dtype} on {means.device}"
+            )
+
+
+def _check_shapes(request: Request) -> None:
+    n = request.means.shape[0] if request.means.ndim else -1
+    wanted: dict[str, tuple[int, ...]] = {
+        "means": (n, 3),
+        "quats": (n, 4),
+        "scales": (n, 3),
+        "opacities": (n,),
+        "covariances": (n, 3, 3),
+        "screen_offsets": (n, 2),
+    }
+    for name, tensor in request.gaussian_tensors().items():
+        if name in wanted and tuple(tensor.shape) != wanted[name]:
+            raise ConfigError(f"rasterize: {name} has shape {tuple(tensor.shape)}, expected {wanted[name]}")
+    if tuple(request.viewmat.shape) != (4, 4):
+        raise ConfigError(f"rasterize: viewmat has shape {tuple(request.viewmat.shape)}, expected (4, 4)")
+    _check_colors(request.colors, n, request.sh_degree)
+
+
+def _check_colors(colors: Tensor, n: int, sh_degree: int | None) -> None:
+    shape = tuple(colors.shape)
+    if sh_degree is None:
+        if shape != (n, 3):
+            raise ConfigError(f"rasterize: colors has shape {shape}, expected {(n, 3)}; for harmonics give sh_degree")
+        return
+    if not 0 <= sh_degree <= MAX_DEGREE:
+        raise ConfigError(f"rasterize: sh_degree must be 0..{MAX_DEGREE}, got {sh_degree}")
+    least = num_coefficients(sh_degree)
+    if colors.ndim != 3 or shape[0] != n or shape[1] < least or shape[2] != 3:
+        raise ConfigError(f"rasterize: colors has shape {shape}, degree {sh_degree} needs ({n}, K >= {least}, 3)")
+
+
+def read_intrinsics(K: Tensor) -> Intrinsics:
+    """Returns focal lengths and principal point of a `[3, 3]` matrix; the gradient stops here.
+
+    Raises:
+        ConfigError: when the matrix is not `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]` with positive,
+            finite focal lengths.
+    """
+    if tuple(K.shape) != (3, 3):
+        raise ConfigError(f"rasterize: K has shape {tuple(K.shape)}, expected (3, 3)")
+    (fx, skew, cx), (yx, fy, cy), bottom = K.detach().double().cpu().tolist()
+    finite = all(abs(value) < float("inf") for value in (fx, fy, cx, cy))
+    if not finite or fx <= 0 or fy <= 0 or skew != 0 or yx != 0 or bottom != [0.0, 0.0, 1.0]:
+        raise ConfigError(
+            "rasterize: K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths and no skew,"
+            f" got {K.tolist()}"
+        )
+    return Intrinsics(fx, fy, cx, cy)

@@ -1,0 +1,59 @@
+"""What the stages share: a name, a clock, the last loss terms, and the guard against non-finite values."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping
+
+import lightning as L
+import torch
+from torch import Tensor
+
+from occfusion.errors import NumericsError
+from occfusion.stages.clock import TrainingClock
+
+
+class Stage(L.LightningModule):
+    """An interface: a training stage with a name, a clock and an avatar of some size."""
+
+    name: str
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.clock = TrainingClock()
+        self._terms: dict[str, Tensor] = {}
+
+    @property
+    @abstractmethod
+    def num_gaussians(self) -> int:
+        """Gaussians at present."""
+
+    def keep_terms(self, terms: Mapping[str, Tensor]) -> None:
+        """Remembers the terms of this step for the progress line; a term not built this step keeps its last value."""
+        self._terms.update({name: value.detach() for name, value in terms.items()})
+
+    def last_terms(self) -> dict[str, float]:
+        """Returns the latest value of each loss term, unweighted."""
+        return {name: float(value) for name, value in self._terms.items()}
+
+
+def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame: str) -> None:
+    """Raises NumericsError naming the first loss term that is not finite."""
+    for name, value in terms.items():
+        if not bool(torch.isfinite(value)):
+            raise NumericsError(
+                f"stage {stage}, step {step}, frame {frame}: the loss term `{name}` is {float(value)}. "
+                f"The state before this step is saved; try smaller learning rates, or look at that frame's data"
+            )
+
+
+def check_finite_gradients(groups: Iterable[Mapping[str, object]], stage: str, step: int, frame: str) -> None:
+    """Raises NumericsError naming the first parameter group whose gradient is not finite."""
+    for group in groups:
+        for parameter in group["params"]:  # type: ignore[attr-defined]
+            # a sum is finite only if all its parts are, and costs a fraction of testing each
+            if parameter.grad is not None and not bool(torch.isfinite(parameter.grad.sum())):
+                raise NumericsError(
+                    f"stage {stage}, step {step}, frame {frame}: the gradient of `{group['name']}` is not finite. "
+                    f"The state before this step is saved"
+                )

@@ -1,0 +1,45 @@
+"""Settings of the training stages; `conf/optim/` holds their values with the paper's numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from occfusion.human.densify import Densification
+
+
+@dataclass
+class RateSettings:
+    """Adam's learning rates by parameter group (GauHuman)."""
+
+    means: float = 1.6e-4
+    means_final: float = 1.6e-6
+    sh0: float = 2.5e-3
+    sh_rest: float = 1.25e-4
+    opacity: float = 5e-2
+    scales: float = 5e-3
+    quats: float = 1e-3
+    pose: float = 5e-5
+    skinning: float = 5e-5
+
+
+@dataclass
+class OptimSettings:
+    """The optimisation stage (paper §4.2)."""
+
+    steps: int = 1200
+    pixels: str = "visible"
+    lambda_rgb: float = 1e4
+    lambda_mask: float = 2e4
+    lambda_ssim: float = 1e3
+    lambda_lpips: float = 1e3
+    perceptual_every: int = 4
+    perceptual_crop: int = 128
+    sh_degree: int = 1
+    sh_every: int = 1000
+    sh_frame: str = "canonical"
+    refine_pose: bool = True
+    learn_skinning: bool = True
+    skinning_every: int = 4
+    densify: bool = False
+    densification: Densification = field(default_factory=Densification)
+    rates: RateSettings = field(default_factory=RateSettings)

@@ -1,0 +1,65 @@
+"""Tables on the terminal: one run's figures, or several runs beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+METRICS = ("psnr", "ssim", "lpips", "mask_iou")
+DECIMALS = {"psnr": 2, "ssim": 4, "lpips": 1, "mask_iou": 3}
+PERCEPTUAL_SCALE = 1000
+"""Perceptual scores are printed times 1000, as in the paper."""
+
+
+def figure(metric: str, value: float | None) -> str:
+    """Returns a metric as tables print it; a dash where it could not be computed."""
+    if value is None:
+        return "-"
+    scaled = value * PERCEPTUAL_SCALE if metric == "lpips" else value
+    return f"{scaled:.{DECIMALS[metric]}f}"
+
+
+def heading(metric: str, perceptual_metric: str | None) -> str:
+    """Returns a column's heading; the perceptual column bears the name of the metric that it holds."""
+    if metric == "lpips":
+        return f"{perceptual_metric or 'perceptual'} x{PERCEPTUAL_SCALE}"
+    return {"psnr": "PSNR", "ssim": "SSIM", "mask_iou": "mask IoU"}[metric]
+
+
+def print_summary(folder: Path, metrics: Mapping[str, Any]) -> None:
+    """Prints one row a region, and the run folder."""
+    name = metrics["perceptual_metric"]
+    table = Table(title=f"{metrics['dataset']} {metrics['scene']}, variant {metrics['variant']}")
+    table.add_column("region")
+    for metric in METRICS:
+        table.add_column(heading(metric, name), justify="right")
+    for region, values in metrics["regions"].items():
+        table.add_row(region, *(figure(metric, values[metric]) for metric in METRICS))
+    console = Console()
+    console.print(table)
+    console.print(
+        f"trained in {metrics['train_seconds']['total']:.1f} s, {metrics['gaussians']} Gaussians, "
+        f"{metrics['images']} held-out images, peak memory {metrics['peak_memory_mb']:.0f} MB",
+        highlight=False,
+    )
+    console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
+
+
+def print_comparison(runs: Sequence[Mapping[str, Any]]) -> None:
+    """Prints one row a run: held-out figures of the whole frame, and training time."""
+    names = sorted({run["perceptual_metric"] or "perceptual" for run in runs})
+    table = Table(title="held-out cameras, full frame")
+    for column in ("scene", "variant"):
+        table.add_column(column)
+    for metric in METRICS:
+        table.add_column(heading(metric, " / ".join(names)), justify="right")
+    table.add_column("seconds", justify="right")
+    for run in runs:
+        full = run["regions"]["full"]
+        cells = (figure(metric, full[metric]) for metric in METRICS)
+        table.add_row(run["scene"], run["variant"], *cells, f"{run['train_seconds']['total']:.1f}")
+    Console().print(table)

@@ -1,0 +1,38 @@
+"""A tiny embedded scene on disk and a way to run the application on it as `train.py` would."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from occfusion import app
+from occfusion.synth import SceneSpec, write_scene
+
+CONF = Path(__file__).parents[2] / "conf"
+SCENE = "001-clean"
+
+
+@pytest.fixture(scope="session")
+def scene_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("scenes")
+    spec = SceneSpec.parse(SCENE)
+    write_scene(root, type(spec)(**{**vars(spec), "image_size": 96, "frames": 10, "cameras": 3}), progress=False)
+    return root
+
+
+@pytest.fixture
+def train(scene_root: Path, tmp_path: Path) -> Callable[..., tuple[Path, dict[str, Any]]]:
+    def run(*overrides: str, folder: str = "run", chosen: bool = True) -> tuple[Path, dict[str, Any]]:
+        fixed = [
+            "dataset=zju", f"dataset.root={scene_root}", f"dataset.scene={SCENE}",
+            f"body.path={scene_root / SCENE / 'body.npz'}", f"output_dir={tmp_path / folder}",
+            "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "evaluation.perceptual=false",
+            "evaluation.curve_images=1", "evaluation.training_stride=9", "dataset.test_frames=[0,10,9]",
+        ]  # fmt: skip
+        with initialize_config_dir(str(CONF), version_base="1.3"):
+            config = compose("config", [*fixed, *overrides])
+        return tmp_path / folder, app.run(config, folder_chosen_by_user=chosen)
+
+    return run

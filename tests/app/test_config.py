@@ -1,0 +1,87 @@
+"""The schema behind conf/: what composes, and what is refused with the key named."""
+
+import math
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from occfusion.config import Settings, load_settings, settings_hash, stages_to_run
+from occfusion.errors import ConfigError
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+def settings_of(*overrides: str) -> Settings:
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return load_settings(compose("config", list(overrides)))
+
+
+def test_defaults_are_the_papers_numbers() -> None:
+    settings = settings_of()
+    optim = settings.optim
+    assert settings.variant.name == "A"
+    assert optim.steps == 1200
+    weights = (optim.lambda_rgb, optim.lambda_mask, optim.lambda_ssim, optim.lambda_lpips)
+    assert weights == (1e4, 2e4, 1e3, 1e3)
+    assert settings.output_dir == "runs/synthetic/001-clean/A"
+
+
+def test_gauhuman_differs_where_the_paper_says() -> None:
+    optim = settings_of("variant=gauhuman").optim
+    assert optim.densify
+    assert optim.pixels == "all"
+    assert optim.lambda_mask < optim.lambda_rgb
+
+
+def test_dataset_chooses_its_body_and_the_command_line_wins() -> None:
+    assert settings_of("dataset=zju").body.name == "smpl"
+    assert settings_of("dataset=zju", "body=anny").body.name == "anny"
+    assert settings_of().body.name == "anny"
+
+
+@pytest.mark.parametrize(
+    ("override", "key"),
+    [
+        ("optim.lambda_rgb=abc", "optim.lambda_rgb"),
+        ("optim.lambda_mask=-1", "optim.lambda_mask"),
+        ("optim.lambda_ssim=nan", "optim.lambda_ssim"),
+        ("optim.lambda_lpips=inf", "optim.lambda_lpips"),
+        ("optim.steps=0", "optim.steps"),
+        ("optim.pixels=some", "optim.pixels"),
+        ("optim.sh_degree=4", "optim.sh_degree"),
+        ("+optim.lamda_rgb=1", "lamda_rgb"),
+        ("trainer.max_steps=0", "trainer.max_steps"),
+        ("trainer.checkpoint_every=0", "trainer.checkpoint_every"),
+        ("seed=-1", "seed"),
+    ],
+)
+def test_bad_value_names_the_setting(override: str, key: str) -> None:
+    with pytest.raises(ConfigError, match=key.replace(".", r"\.")):
+        settings_of(override)
+
+
+def test_nothing_to_train_is_refused() -> None:
+    zero = [f"optim.lambda_{name}=0" for name in ("rgb", "mask", "ssim", "lpips")]
+    with pytest.raises(ConfigError, match="nothing to train"):
+        settings_of(*zero)
+
+
+@pytest.mark.parametrize("override", ["variant=B", "variant=E", "stage=refine", "stage=init", "prior=sd15"])
+def test_what_does_not_exist_yet_is_refused_plainly(override: str) -> None:
+    with pytest.raises(ConfigError, match="does not (exist|have)|not have yet"):
+        settings_of(override)
+
+
+def test_hash_follows_what_training_computes_and_nothing_else() -> None:
+    base = settings_hash(settings_of())
+    assert settings_hash(settings_of("output_dir=elsewhere", "stage=optim", "dataset.root=/mnt/x")) == base
+    assert settings_hash(settings_of("evaluation.pictures=false")) == base
+    for override in ("optim.lambda_rgb=1", "seed=1", "dataset.occlusion.kind=none", "variant=gauhuman"):
+        assert settings_hash(settings_of(override)) != base
+
+
+def test_stage_all_runs_what_the_variant_needs() -> None:
+    assert stages_to_run(settings_of()) == ["optim"]
+    assert stages_to_run(settings_of("stage=optim")) == ["optim"]
+    assert not math.isnan(settings_of().optim.lambda_rgb)

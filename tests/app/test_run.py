@@ -1,0 +1,130 @@
+"""Whole runs on a tiny scene: the run folder, resuming, and that two ways to name a scene are the same."""
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from occfusion.errors import ConfigError
+
+Train = Callable[..., tuple[Path, dict[str, Any]]]
+CONTRACT_FILES = (
+    "config.yaml", "environment.json", "plan.json", "optim/last.ckpt", "optim/avatar.safetensors",
+    "point_cloud.ply", "error_vs_time.csv", "error_vs_time.png", "per_image.csv", "metrics.json", "report.md",
+)  # fmt: skip
+
+
+def parameters(folder: Path) -> dict[str, torch.Tensor]:
+    return load_file(folder / "optim" / "avatar.safetensors")
+
+
+def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
+    assert a.keys() == b.keys()
+    for name in a:
+        assert torch.equal(a[name], b[name]), name
+
+
+@pytest.mark.parametrize("variant", ["gauhuman", "A"])
+@pytest.mark.parametrize("stage", ["all", "optim"])
+def test_fast_dev_run(train: Train, variant: str, stage: str) -> None:
+    folder, metrics = train(f"variant={variant}", f"stage={stage}", "trainer.fast_dev_run=true")
+    assert metrics["variant"] == variant
+    assert metrics["regions"]["full"]["psnr"] > 5
+    assert not (folder / "optim" / "last.ckpt").exists()
+
+
+def test_run_folder_holds_what_the_interface_promises(train: Train) -> None:
+    folder, metrics = train("optim.steps=4")
+    for file in CONTRACT_FILES:
+        assert (folder / file).stat().st_size > 0, file
+    assert json.loads((folder / "metrics.json").read_text()) == metrics
+    assert set(metrics["regions"]) == {"full", "box", "visible", "hidden"}
+    assert metrics["regions"]["full"]["lpips"] is None
+    assert metrics["perceptual_metric"] is None
+    assert metrics["images"] == 4
+    with (folder / "error_vs_time.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == [0, 4]
+    assert list(rows[0]) == [
+        "stage", "step", "train_seconds", "wall_seconds", "psnr", "ssim", "lpips", "mask_iou", "gaussians",
+        "peak_memory_mb",
+    ]  # fmt: skip
+    plan = json.loads((folder / "plan.json").read_text())
+    assert any(d["part"] == "stage init" and not d["used"] and d["reason"] for d in plan["decisions"])
+    assert "stage init" in metrics["left_out"]
+
+
+@pytest.mark.parametrize("variant", ["gauhuman", "A"])
+def test_stopped_and_resumed_run_equals_an_uninterrupted_one(
+    train: Train, variant: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bit-equal on a CPU, the LBS network's schedule, the perceptual crops and densification included."""
+    from occfusion.stages.interruption import Interrupted, SignalGuard
+
+    options = [f"variant={variant}", "optim.steps=7", "trainer.checkpoint_every=100"]
+    whole, _ = train(*options, folder="whole")
+    original = SignalGuard.on_train_batch_end
+
+    def stop_after_three(self: SignalGuard, trainer: Any, *rest: Any) -> None:
+        if trainer.global_step == 3:
+            self.received = 15
+        original(self, trainer, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SignalGuard, "on_train_batch_end", stop_after_three)
+        with pytest.raises(Interrupted, match="SIGTERM") as stopped:
+            train(*options, folder="parts")
+    assert stopped.value.exit_code == 143
+    parts, _ = train(*options, folder="parts")
+    assert_same(parameters(whole), parameters(parts))
+
+
+def test_finished_run_is_not_trained_again(train: Train) -> None:
+    folder, first = train("optim.steps=3")
+    stamp = (folder / "optim" / "avatar.safetensors").stat().st_mtime_ns
+    _, second = train("optim.steps=3")
+    assert (folder / "optim" / "avatar.safetensors").stat().st_mtime_ns == stamp
+    assert second["regions"] == first["regions"]
+    assert second["train_seconds"] == first["train_seconds"]
+
+
+def test_folder_of_another_run_is_left_alone(train: Train) -> None:
+    folder, _ = train("optim.steps=2")
+    before = (folder / "metrics.json").read_bytes()
+    with pytest.raises(ConfigError, match="other settings"):
+        train("optim.steps=3")
+    assert (folder / "metrics.json").read_bytes() == before
+    train("optim.steps=3", chosen=False)
+    assert (folder.with_name("run-2") / "metrics.json").is_file()
+
+
+def test_same_seed_same_avatar_other_seed_another(train: Train) -> None:
+    a, _ = train("optim.steps=3", folder="a")
+    b, _ = train("optim.steps=3", folder="b")
+    c, _ = train("optim.steps=3", "seed=1", folder="c")
+    assert_same(parameters(a), parameters(b))
+    assert not torch.equal(parameters(a)["gaussians.means"], parameters(c)["gaussians.means"])
+
+
+def test_non_finite_loss_stops_and_keeps_the_last_good_state(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+    from occfusion import losses
+    from occfusion.errors import NumericsError
+
+    original, calls = losses.l2, []
+
+    def fails_at_the_third(*args: Any) -> torch.Tensor:
+        calls.append(1)
+        value: torch.Tensor = original(*args)
+        return value * float("nan") if len(calls) == 3 else value
+
+    monkeypatch.setattr(losses, "l2", fails_at_the_third)
+    with pytest.raises(NumericsError, match=r"step 2, frame .*`mask`"):
+        train("optim.steps=5", "optim.lambda_rgb=0", "optim.lambda_ssim=0")
+    monkeypatch.setattr(losses, "l2", original)
+    folder, _ = train("optim.steps=5", "optim.lambda_rgb=0", "optim.lambda_ssim=0")
+    assert all(torch.isfinite(v).all() for v in parameters(folder).values() if v.is_floating_point())

@@ -1,0 +1,154 @@
+"""What is hidden: the strip against counting pixels, settings, and the other kinds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from occfusion.data.occlusion import KINDS, OcclusionSettings, plan, strip_columns
+from occfusion.data.silhouette import Silhouette, bounding_box
+from occfusion.errors import ConfigError, DataError
+
+
+def people(count: int = 10, size: int = 128) -> list[np.ndarray]:
+    """A blob that wanders from left to right and changes its width."""
+    rows, columns = np.mgrid[:size, :size] / size
+    masks = []
+    for k in range(count):
+        x, w = 0.4 + 0.02 * k, 0.08 + 0.01 * (k % 3)
+        masks.append(((columns - x) / w) ** 2 + ((rows - 0.5) / 0.35) ** 2 < 1)
+    return masks
+
+
+def silhouettes(masks) -> list[Silhouette]:
+    return [Silhouette.of(mask) for mask in masks]
+
+
+def hidden_share(mask, box) -> float:
+    x, y, w, h = box
+    return mask[y : y + h, x : x + w].sum() / mask.sum()
+
+
+def test_the_strip_is_at_the_median_column_and_hides_half():
+    masks = people()
+    boxes = plan(OcclusionSettings("strip"), silhouettes(masks), "001-clean")
+    assert boxes[8:] == (None, None) and len(set(boxes[:8])) == 1
+    x, y, w, h = boxes[0]
+    assert (y, h) == (0, 128) and w % 2 == 0
+    columns = np.sort(np.concatenate([np.nonzero(mask)[1] for mask in masks]))
+    assert abs(x + w // 2 - columns[len(columns) // 2]) <= 1
+    shares = {
+        half: abs(np.mean([hidden_share(m, (x + w // 2 - half, 0, 2 * half, 128)) for m in masks[:8]]) - 0.5)
+        for half in range(1, 40)
+    }
+    assert w // 2 == min(shares, key=shares.get)
+
+
+def test_the_strip_does_not_depend_on_the_size():
+    coarse = plan(OcclusionSettings("strip"), silhouettes(people(size=128)), "x")[0]
+    fine = plan(OcclusionSettings("strip"), silhouettes(people(size=512)), "x")[0]
+    assert abs(4 * coarse[0] - fine[0]) <= 4 and abs(4 * coarse[2] - fine[2]) <= 8
+
+
+@pytest.mark.parametrize(
+    ("scene", "size", "columns"),
+    [
+        ("CoreView_377", 1024, (425, 495)),
+        ("my_387", 1024, (423, 473)),
+        ("394", 1024, (386, 450)),
+        ("CoreView_386", 512, (188, 228)),
+    ],
+)
+def test_the_papers_strips(scene, size, columns):
+    x, y, w, h = plan(OcclusionSettings("strip"), silhouettes(people(size=size)), scene)[0]
+    assert (x, x + w, y, h) == (*columns, 0, size)
+
+
+def test_no_other_scene_is_taken_for_one_of_the_paper():
+    auto = plan(OcclusionSettings("strip"), silhouettes(people()), "377-clean")[0]
+    assert auto == plan(OcclusionSettings("strip"), silhouettes(people()), "001-clean")[0]
+
+
+def test_given_columns_win():
+    boxes = plan(OcclusionSettings("strip", mid=512, width=65), silhouettes(people(size=512)), "CoreView_377")
+    assert boxes[0] == ((512 - 32) // 2, 0, 32, 512)
+    assert strip_columns(10, 70, 1024) == (0, 45)  # cut at the picture's edge
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 100])
+def test_the_first_four_fifths_are_occluded(frames):
+    boxes = plan(OcclusionSettings("strip"), silhouettes(people(frames, 64)), "x")
+    occluded = [box is not None for box in boxes]
+    assert sum(occluded) == round(0.8 * frames) and occluded == sorted(occluded, reverse=True)
+
+
+def test_box_is_centred_on_each_person_and_hides_its_share():
+    masks = people()
+    boxes = plan(OcclusionSettings("box", fraction=1.0, share=0.3), silhouettes(masks), "x")
+    for mask, box in zip(masks, boxes, strict=True):
+        px, py, pw, ph = bounding_box(mask)
+        assert abs(2 * box[0] + box[2] - 2 * px - pw) <= 1 and abs(2 * box[1] + box[3] - 2 * py - ph) <= 1
+        assert abs(box[2] * box[3] / (pw * ph) - 0.3) < 0.05
+
+
+def test_moving_bar_crosses_the_range_and_comes_back():
+    masks = people(21)
+    boxes = plan(OcclusionSettings("moving", fraction=1.0, width=64, sweeps=2.0), silhouettes(masks), "x")
+    middles = [box[0] + box[2] / 2 for box in boxes]
+    left = min(bounding_box(m)[0] for m in masks)
+    right = max(sum(bounding_box(m)[::2]) for m in masks)
+    assert abs(middles[0] - left) <= 2 and abs(middles[-1] - left) <= 2 and abs(middles[10] - right) <= 2
+    assert (np.diff(middles[:11]) > 0).all() and (np.diff(middles[10:]) < 0).all()
+
+
+def test_none_hides_nothing():
+    assert plan(OcclusionSettings("none"), silhouettes(people()), "CoreView_377") == (None,) * 10
+
+
+def test_empty_masks():
+    empty = silhouettes([np.zeros((8, 8), bool)] * 3)
+    for kind in ("strip", "moving"):
+        with pytest.raises(DataError, match="person"):
+            plan(OcclusionSettings(kind), empty, "x")
+    assert plan(OcclusionSettings("box"), empty, "x") == (None, None, None)
+
+
+@given(
+    st.integers(1, 40), st.integers(1, 40), st.integers(0, 2**32 - 1),
+    st.tuples(*[st.integers(0, 45)] * 4),
+)  # fmt: skip
+def test_silhouettes_keep_the_mask(height, width, seed, hidden):
+    mask = np.random.default_rng(seed).random((height, width)) < 0.2
+    kept = Silhouette.of(mask)
+    np.testing.assert_array_equal(kept.columns(), mask.sum(axis=0))
+    x, y, w, h = hidden
+    outside = mask.copy()
+    outside[y : y + h, x : x + w] = False
+    wanted = outside.sum() / mask.sum() if mask.any() else 1.0
+    assert kept.share_outside(hidden) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bare_name_and_a_mapping_are_the_same(kind):
+    assert OcclusionSettings.parse(kind) == OcclusionSettings.parse({"kind": kind})
+    assert OcclusionSettings.parse(None) == OcclusionSettings("none")
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("stripe", "none, strip, box, moving"),
+        ({"kind": "strip", "widht": 3}, "occlusion.widht: unknown; the keys are kind, fraction"),
+        ({"kind": "strip", "fraction": 1.2}, "fraction=1.2: must be a number from 0 to 1"),
+        ({"kind": "strip", "fraction": "half"}, "fraction='half'"),
+        ({"kind": "strip", "mid": -1}, "mid=-1"),
+        ({"kind": "strip", "width": float("nan")}, "width=nan"),
+        ({"kind": "strip", "share": True}, "share=True"),
+        (["strip"], "mapping"),
+    ],
+)
+def test_bad_settings(value, message):
+    with pytest.raises(ConfigError, match=message):
+        OcclusionSettings.parse(value)

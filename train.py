@@ -1,0 +1,9 @@
+"""Trains an avatar: `python train.py [overrides]`, a Hydra application over `conf/`."""
+
+import sys
+from pathlib import Path
+
+from occfusion.cli.train import main
+
+if __name__ == "__main__":
+    sys.exit(main(Path(__file__).resolve().parent / "conf"))
