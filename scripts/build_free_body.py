@@ -87,9 +87,7 @@ class _Mesh:
     @staticmethod
     def _normal(a: Floats, b: Floats, c: Floats) -> Floats:
         u, v = b - a, c - a
-        return np.array(
-            [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
-        )
+        return np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
 
     def collapse(self, gone: int, kept: int) -> None:
         for i in list(self.around[gone]):
@@ -150,9 +148,7 @@ def joint_regressor(template: Floats, shapedirs: Floats, joints: Floats, joint_d
     rows = np.zeros((len(joints), len(template)))
     for j, joint in enumerate(joints):
         near = np.sort(np.argsort(np.linalg.norm(template - joint, axis=1), kind="stable")[:NEIGHBOURHOOD])
-        system = np.concatenate(
-            [components[near].reshape(len(near), -1).T, np.ones((1, len(near)))]
-        )
+        system = np.concatenate([components[near].reshape(len(near), -1).T, np.ones((1, len(near)))])
         target = np.append(wanted[j].ravel(), 1.0)
         mean = np.full(len(near), 1.0 / len(near))
         change = np.linalg.lstsq(system, target - system @ mean, rcond=1e-12)[0]
@@ -185,7 +181,9 @@ def build(full_path: Path) -> dict[str, NDArray[np.generic]]:
         "shapedirs": shapedirs,
         "J_regressor": regressor.astype(np.float32),
         "weights": weights,
-        "kintree_table": np.stack([np.where(parents < 0, 2**32 - 1, parents), np.arange(24)]).astype(np.int64),
+        "kintree_table": np.stack([np.where(parents < 0, 2**32 - 1, parents), np.arange(24)]).astype(
+            np.int64
+        ),
         "f": small_faces.astype(np.int32),
         "full_vertex": keep.astype(np.int32),  # number of each vertex in the full body
     }

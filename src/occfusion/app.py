@@ -18,7 +18,7 @@ from occfusion.data.handful import held_out_handful
 from occfusion.data.module import HumanDataModule
 from occfusion.evaluation_run import evaluate_run
 from occfusion.files.atomic import write_json
-from occfusion.human import Avatar, load_avatar, save_avatar
+from occfusion.human import Avatar, load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.render import render_frame
@@ -120,7 +120,10 @@ def _run_stage(run_: Run, name: str) -> None:
         seed=settings.seed,
     )
     guard = SignalGuard()
-    callbacks: list[L.Callback] = [guard, Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every)]
+    callbacks: list[L.Callback] = [
+        guard,
+        Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every),
+    ]
     if settings.evaluation.curve:
         callbacks.append(_curve(run_))
     if settings.trainer.enable_progress_bar:

@@ -1,4 +1,4 @@
-"""The photometric loss terms of one picture; each is 0 with zero gradient where there is nothing to compare."""
+"""The photometric loss terms of one picture; each is 0, gradient too, where there is nothing to compare."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def l1(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
 def l2(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
     """Returns the mean squared difference over the pixels of `mask` and all channels, a scalar.
 
-    The paper's second term of L_photo (§4.2): the occupancy map A against the complete mask. Arguments as `l1`.
+    The paper's second term of L_photo (§4.2): the occupancy map A against the complete mask. Arguments as
+    `l1`.
     """
     _check_shapes(a, b, mask)
     return masked_mean((a - b).square(), mask)

@@ -16,7 +16,7 @@ OCCUPIED = 0.5
 
 
 def psnr(a: Tensor, b: Tensor, mask: Tensor | None = None) -> float | None:
-    """Returns the peak signal-to-noise ratio in decibels for data in 0..1, at most `PSNR_CAP`; None for no pixels.
+    """Returns the peak signal-to-noise ratio in decibels, at most `PSNR_CAP`; None for no pixels.
 
     Args:
         a: `[H, W, C]`, 0..1.
@@ -79,10 +79,10 @@ def mask_iou(a: Tensor, b: Tensor, within: Tensor | None = None) -> float | None
 
 
 def padded_box(mask: Tensor, padding: int | None = None) -> Box | None:
-    """Returns the bounding box of a bool mask `[H, W]`, padded and cut to the picture; None for an empty mask.
+    """Returns the padded bounding box of a mask, cut to the picture; None for an empty mask.
 
     Args:
-        mask: the region.
+        mask: the region, bool `[H, W]`.
         padding: pixels on each side; when None a tenth of the box's own width or height, and on each axis at
             least so much that the SSIM window fits (where the picture is large enough).
     """

@@ -49,7 +49,10 @@ def write_comparison(path: Path, frames: Sequence[Frame], render: Callable[[Fram
             ours = render(frame).rgb
             columns = [(f"input {frame.name}", frame.rgb), ("rendering", ours)]
             if frame.truth is not None:
-                columns += [("truth", frame.truth.rgb), (f"error x{ERROR_GAIN:g}", error_map(ours, frame.truth.rgb))]
+                columns += [
+                    ("truth", frame.truth.rgb),
+                    (f"error x{ERROR_GAIN:g}", error_map(ours, frame.truth.rgb)),
+                ]
             rows.append(np.concatenate([captioned(to_uint8(c), t) for t, c in columns], axis=1))
     if rows:
         write_png(path, np.concatenate(rows))

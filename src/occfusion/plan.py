@@ -53,9 +53,13 @@ def make_plan(settings: Settings, summary: Mapping[str, Any], backend: str) -> l
                  f"degree {highest} is the highest reached in {steps} steps; higher bands are not allocated")
     )  # fmt: skip
     plan.append(Decision("pose refinement", optim.refine_pose, f"optim.refine_pose = {optim.refine_pose}"))
-    plan.append(Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"))
+    plan.append(
+        Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}")
+    )
     plan.append(Decision("densification", optim.densify, f"optim.densify = {optim.densify}"))
-    plan.append(Decision("pixels outside the person's padded box", False, "rendered crops hold every Gaussian"))
+    plan.append(
+        Decision("pixels outside the person's padded box", False, "rendered crops hold every Gaussian")
+    )
     plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
     return plan
 

@@ -9,7 +9,9 @@ from occfusion.splat import rasterize
 from occfusion.types import Camera, Cloud, Frame, Rendering
 
 
-def render_cloud(cloud: Cloud, camera: Camera, backend: str, background: torch.Tensor | None = None) -> Rendering:
+def render_cloud(
+    cloud: Cloud, camera: Camera, backend: str, background: torch.Tensor | None = None
+) -> Rendering:
     """Returns the picture of posed Gaussians; black behind them when `background` `[3]` is None."""
     return rasterize(
         cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,

@@ -61,7 +61,9 @@ def _is_free_or_same(folder: Path, identity: dict[str, str]) -> bool:
     try:
         return bool(json.loads(marker.read_text(encoding="utf-8"))["identity"] == identity)
     except (json.JSONDecodeError, KeyError) as error:
-        raise CheckpointError(f"{marker} is not readable as a run's description; move the folder away") from error
+        raise CheckpointError(
+            f"{marker} is not readable as a run's description; move the folder away"
+        ) from error
 
 
 def _prepare(folder: Path, settings: Settings, identity: dict[str, str]) -> None:
@@ -110,7 +112,9 @@ def _processor() -> str:
 def _git(*arguments: str) -> str | None:
     here = Path(__file__).parent
     try:
-        done = subprocess.run(["git", *arguments], cwd=here, capture_output=True, text=True, timeout=10, check=False)
+        done = subprocess.run(
+            ["git", *arguments], cwd=here, capture_output=True, text=True, timeout=10, check=False
+        )
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout.strip() if done.returncode == 0 else None

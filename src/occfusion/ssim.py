@@ -28,9 +28,9 @@ def ssim_map(a: Tensor, b: Tensor) -> Tensor:
     (`gaussian_weights=True, use_sample_covariance=False`) agrees wherever the window lies inside the picture.
     Along an axis shorter than 11 px the window is the largest odd width that fits, renormalised.
 
-    The four moments are those of a+b and a-b, not the usual five of a, b, a², b² and ab: one blur less, and equal
-    pictures give exactly 1. The float32 error is largest where both pictures are bright and flat: there variances
-    of the size of C2 are differences of numbers near 4, 1e-3 in the map at worst.
+    The four moments are those of a+b and a-b, not the usual five of a, b, a², b² and ab: one blur less, and
+    equal pictures give exactly 1. The float32 error is largest where both pictures are bright and flat: there
+    variances of the size of C2 are differences of numbers near 4, 1e-3 in the map at worst.
 
     Args:
         a: a picture in 0..1, `[H, W, C]`.
@@ -40,10 +40,11 @@ def ssim_map(a: Tensor, b: Tensor) -> Tensor:
         ValueError: the shapes differ or are not `[H, W, C]`.
     """
     if a.shape != b.shape or a.dim() != 3:
-        raise ValueError(f"ssim_map needs two pictures [H, W, C] of one size, got {list(a.shape)} and {list(b.shape)}")
+        found = f"{list(a.shape)} and {list(b.shape)}"
+        raise ValueError(f"ssim_map needs two pictures [H, W, C] of one size, got {found}")
     if a.numel() == 0:
         return (a + b) * 0.0
-    planes: Tensor = _SsimMap.apply(a.permute(2, 0, 1), b.permute(2, 0, 1))  # type: ignore[no-untyped-call]
+    planes: Tensor = _SsimMap.apply(a.permute(2, 0, 1), b.permute(2, 0, 1))
     return planes.permute(1, 2, 0)
 
 
@@ -59,7 +60,7 @@ class _SsimMap(torch.autograd.Function):
         return (a1 * a2) / (b1 * b2)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None]:
         total, difference, moments = ctx.saved_tensors
         mean_total, mean_difference = moments.chunk(4)[:2]
@@ -86,8 +87,8 @@ class _SsimMap(torch.autograd.Function):
 def _terms(moments: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Returns the numerators and denominators of the luminance and of the contrast-structure term.
 
-    With S, D the means of a+b and a-b: 2 mu_a mu_b = (S² - D²)/2 and mu_a² + mu_b² = (S² + D²)/2, and the same
-    with variances for the covariance and the sum of variances.
+    With S, D the means of a+b and a-b: 2 mu_a mu_b = (S² - D²)/2 and mu_a² + mu_b² = (S² + D²)/2, and the
+    same with variances for the covariance and the sum of variances.
     """
     mean_total, mean_difference, square_total, square_difference = moments.chunk(4)
     total2, difference2 = mean_total * mean_total, mean_difference * mean_difference
@@ -117,7 +118,7 @@ def _blur(planes: Tensor) -> Tensor:
 
 
 def _blur_adjoint(grad: Tensor) -> Tensor:
-    """Returns the transpose of `_blur` applied to `[P, H, W]`: correlate everywhere, then fold the mirror back."""
+    """Returns the transpose of `_blur` on `[P, H, W]`: correlate everywhere, then fold the mirror back."""
     rows, columns = _kernel(grad.shape[1], grad), _kernel(grad.shape[2], grad)
     padded = _correlate(grad[None], rows, columns, len(rows) - 1, len(columns) - 1)
     return _fold(_fold(padded, 1, len(rows) // 2), 2, len(columns) // 2)

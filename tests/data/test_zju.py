@@ -54,7 +54,7 @@ def test_the_posed_body_projects_into_the_mask(tiny):
         assert mask[place[:, 1], place[:, 0]].float().mean() > 0.98
         body = np.zeros(mask.shape, np.uint8)
         body[place[:, 1], place[:, 0]] = 1
-        body = cv2.dilate(body, cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))) > 0  # drawn as wide as this
+        body = cv2.dilate(body, cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))) > 0  # as it was drawn
         assert (body & mask.numpy()).sum() / (body | mask.numpy()).sum() > 0.9
 
 

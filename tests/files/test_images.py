@@ -75,10 +75,30 @@ def test_damage_inside_is_refused(tmp_path, colours):
         read_rgb(path)
 
 
-def gigapixel_png() -> bytes:
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+def chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
+
+def test_only_the_pictures_own_chunks_reach_the_decoder(tmp_path, colours, monkeypatch):
+    """A declared length of 2 GB made the decoder allocate it; a second header could change the size."""
+    content = save(tmp_path / "a.png", colours).read_bytes()
+    texts = content[:33] + chunk(b"zTXt", b"x" * 1000) + chunk(b"acTL", bytes(8)) + content[33:]
+    (tmp_path / "b.png").write_bytes(texts)
+    given: list[int] = []
+    decode = cv2.imdecode
+    monkeypatch.setattr(cv2, "imdecode", lambda data, flags: given.append(len(data)) or decode(data, flags))
+    np.testing.assert_array_equal(read_rgb(tmp_path / "b.png"), colours[..., ::-1])
+    assert given == [len(content)]
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 60000, 1000, 8, 2, 0, 0, 0))
+    long = struct.pack(">I4s", 2**31 - 1, b"tEXt")
+    for broken in (content[:33] + header + content[33:], content[:33] + long + content[33:]):
+        (tmp_path / "b.png").write_bytes(broken)
+        with pytest.raises(DataError, match=r"b\.png: .*damaged"):
+            read_rgb(tmp_path / "b.png")
+    assert len(given) == 1
+
+
+def gigapixel_png() -> bytes:
     header = struct.pack(">IIBBBBB", 40000, 40000, 1, 0, 0, 0, 0)
     lines = zlib.compress(bytes(5001 * 40000), 9)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", lines) + chunk(b"IEND", b"")

@@ -70,7 +70,9 @@ def test_field_of_view_touches_the_sides():
     assert pixels[0, 0] == pytest.approx(64.0)
 
 
-@pytest.mark.parametrize(("eye", "up"), [([0.0, 0, 0], [0.0, 1, 0]), ([0.0, 2, 0], [0.0, 1, 0]), ([1.0, 0, 0], [0.0] * 3)])
+@pytest.mark.parametrize(
+    ("eye", "up"), [([0.0, 0, 0], [0.0, 1, 0]), ([0.0, 2, 0], [0.0, 1, 0]), ([1.0, 0, 0], [0.0] * 3)]
+)
 def test_no_such_view(eye, up):
     with pytest.raises(ValueError, match="line of sight"):
         look_at(torch.tensor(eye), torch.zeros(3), torch.tensor(up))

@@ -32,7 +32,9 @@ def test_others_never_name_the_point_itself_even_among_coinciding_ones():
 
 
 def test_far_from_the_origin_keeps_millimetres():
-    points = torch.tensor([[1000.0, 1000, 1000], [1000.001, 1000, 1000], [1000.003, 1000, 1000]], dtype=torch.float64)
+    points = torch.tensor(
+        [[1000.0, 1000, 1000], [1000.001, 1000, 1000], [1000.003, 1000, 1000]], dtype=torch.float64
+    )
     found = neighbours.nearest_others(points)
     assert found.indices[:, 0].tolist() == [1, 0, 1]
     assert found.distances[:, 0].tolist() == pytest.approx([0.001, 0.001, 0.002], rel=1e-6)

@@ -19,7 +19,12 @@ def scene(seed=0, points=12, joints=24, angle=1.0):
     rng = np.random.default_rng(seed)
     weights = rng.random((points, joints)) ** 4
     weights /= weights.sum(axis=1, keepdims=True)
-    return rng.normal(size=(joints, 3)) * angle, rng.normal(size=(joints, 3)), rng.normal(size=(points, 3)), weights
+    return (
+        rng.normal(size=(joints, 3)) * angle,
+        rng.normal(size=(joints, 3)),
+        rng.normal(size=(points, 3)),
+        weights,
+    )
 
 
 @pytest.mark.parametrize("parents", [PARENTS, (-1, 0, 1, 2, 3), (-1, 0, 0, 0, 0), (-1,), (-1, 0, 0, 2, 1, 3)])
@@ -39,7 +44,9 @@ def test_blend_skinning_equals_loop_over_joints():
     angles, joints, points, weights = scene(1)
     rotations = [exponential(v) for v in angles]
     covariances = np.array([a @ a.T for a in np.random.default_rng(2).normal(size=(len(points), 3, 3))])
-    transforms = skinning.bone_transforms(axis_angle_to_matrix(torch.tensor(angles)), torch.tensor(joints), PARENTS)
+    transforms = skinning.bone_transforms(
+        axis_angle_to_matrix(torch.tensor(angles)), torch.tensor(joints), PARENTS
+    )
     maps = skinning.blend(torch.tensor(weights), transforms)
     moved = skinning.skin_points(torch.tensor(points), maps).numpy()
     spread = skinning.skin_covariances(torch.tensor(covariances), maps).numpy()
@@ -51,7 +58,9 @@ def test_blend_skinning_equals_loop_over_joints():
 
 def test_rest_pose_moves_nothing():
     _, joints, points, weights = scene(3)
-    transforms = skinning.bone_transforms(torch.eye(3).double().expand(24, 3, 3), torch.tensor(joints), PARENTS)
+    transforms = skinning.bone_transforms(
+        torch.eye(3).double().expand(24, 3, 3), torch.tensor(joints), PARENTS
+    )
     maps = skinning.blend(torch.tensor(weights), transforms)
     assert np.abs(skinning.skin_points(torch.tensor(points), maps).numpy() - points).max() < 1e-14
 
@@ -64,7 +73,9 @@ def test_turning_the_root_turns_everything_about_the_root_joint():
     turned[0] = turn @ rotations[0]
 
     def move(r):
-        return skinning.skin_points(points, skinning.blend(weights, skinning.bone_transforms(r, joints, PARENTS)))
+        return skinning.skin_points(
+            points, skinning.blend(weights, skinning.bone_transforms(r, joints, PARENTS))
+        )
 
     about = joints[0]
     assert torch.allclose(move(turned), (move(rotations) - about) @ turn.T + about, atol=1e-13)
@@ -119,7 +130,9 @@ def test_gradients():
 
     def move(a, j, p, w):
         maps = skinning.blend(w, skinning.bone_transforms(axis_angle_to_matrix(a), j, parents))
-        return skinning.skin_points(p, maps), skinning.skin_covariances(torch.eye(3).double().expand(3, 3, 3), maps)
+        return skinning.skin_points(p, maps), skinning.skin_covariances(
+            torch.eye(3).double().expand(3, 3, 3), maps
+        )
 
     inputs = [t.requires_grad_() for t in (angles, joints, points, weights)]
     assert gradcheck(move, inputs)

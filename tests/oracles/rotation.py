@@ -1,4 +1,4 @@
-"""Rotations the slow way: the exponential series of the cross-product matrix, in plain Python floats or numpy."""
+"""Rotations the slow way: the exponential series of the cross-product matrix, quaternion products."""
 
 from __future__ import annotations
 

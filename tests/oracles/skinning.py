@@ -31,19 +31,22 @@ def pose_body(arrays, betas, global_orient, body_pose, transl):
     full = np.concatenate([np.ravel(global_orient), np.ravel(body_pose)]).reshape(24, 3)
     rotations = [exponential(vector) for vector in full]
     shaped = np.array(
-        [v + sum(b * d[:, k] for k, b in enumerate(betas)) for v, d in zip(arrays.v_template, arrays.shapedirs)]
+        [_shape(*pair, betas) for pair in zip(arrays.v_template, arrays.shapedirs, strict=True)]
     )
-    joints = np.array(
-        [v + sum(b * d[:, k] for k, b in enumerate(betas)) for v, d in zip(arrays.J_template, arrays.J_dirs)]
-    )
+    joints = np.array([_shape(*pair, betas) for pair in zip(arrays.J_template, arrays.J_dirs, strict=True)])
     if arrays.posedirs is not None:
         features = np.concatenate([(rotation - np.eye(3)).ravel() for rotation in rotations[1:]])
-        shaped = np.array([v + d @ features for v, d in zip(shaped, arrays.posedirs)])
-    vertices = [
-        skin_vertex(v, w, rotations, joints, arrays.parents)[0] for v, w in zip(shaped, arrays.weights)
-    ]
+        shaped = np.array([v + d @ features for v, d in zip(shaped, arrays.posedirs, strict=True)])
+    pairs = zip(shaped, arrays.weights, strict=True)
+    vertices = [skin_vertex(v, w, rotations, joints, arrays.parents)[0] for v, w in pairs]
     placed = [place_joint(k, rotations, joints, arrays.parents)[1] for k in range(24)]
     return np.array(vertices) + transl, np.array(placed) + transl
+
+
+def _shape(point, directions, betas):
+    for k, beta in enumerate(betas):
+        point = point + beta * directions[:, k]
+    return point
 
 
 def kl(mean_a, cov_a, mean_b, cov_b):

@@ -22,8 +22,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"subject number ({HELD_OUT_FROM} and up are held out from all training and tuning), level "
         f"({', '.join(LEVELS)}) and occluders ({', '.join(OCCLUDERS[1:])}); one or more (default: 001-clean)",
     )
-    parser.add_argument("--size", type=int, default=default.image_size, help=f"pixels, up to {MAX_SIZE} (%(default)s)")
-    parser.add_argument("--frames", type=int, default=default.frames, help="moments, 0.1 s apart (%(default)s)")
+    parser.add_argument(
+        "--size", type=int, default=default.image_size, help=f"pixels, up to {MAX_SIZE} (%(default)s)"
+    )
+    parser.add_argument(
+        "--frames", type=int, default=default.frames, help="moments, 0.1 s apart (%(default)s)"
+    )
     parser.add_argument("--cameras", type=int, default=MAX_CAMERAS, help="of the ring (%(default)s)")
     parser.add_argument("--light", choices=LIGHTS, default=default.light, help="(%(default)s)")
     parser.add_argument("--seed", type=int, default=default.seed, help="of motion and errors (%(default)s)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from threading import Lock
 
 import torch
 from torch import Tensor
@@ -28,6 +29,7 @@ class Views:
         self._cache: BoundedCache[Packed] = BoundedCache(cache_bytes)
         self._lenses: dict[int, Lens] = {}
         self._parameters: dict[int, BodyParameters] = {}
+        self._lock = Lock()
 
     def train_frame(self, position: int, *, truth: bool) -> Frame:
         """Returns the training frame at a position; kept in memory while there is room."""
@@ -45,15 +47,18 @@ class Views:
 
     def lens(self, camera: int) -> Lens:
         """Returns how a camera's stored pictures become frames."""
-        if (lens := self._lenses.pop(camera, None)) is None:
-            scene = self._prepared.scene
-            frame = self._prepared.train[0] if camera == self._prepared.camera else self._prepared.test[0]
-            source = image_size(scene.files(frame, camera).rgb)
-            lens = Lens.fitted(scene.calibration(camera), source, self._image_size)
-        self._lenses[camera] = lens  # the last used stands last
-        while len(self._lenses) > _KEPT_LENSES:
-            del self._lenses[next(iter(self._lenses))]
+        with self._lock:  # training frames are read ahead while held-out ones are evaluated
+            lens = self._lenses.pop(camera, None) or self._make_lens(camera)
+            self._lenses[camera] = lens  # the last used stands last
+            while len(self._lenses) > _KEPT_LENSES:
+                del self._lenses[next(iter(self._lenses))]
         return lens
+
+    def _make_lens(self, camera: int) -> Lens:
+        scene = self._prepared.scene
+        frame = self._prepared.train[0] if camera == self._prepared.camera else self._prepared.test[0]
+        source = image_size(scene.files(frame, camera).rgb)
+        return Lens.fitted(scene.calibration(camera), source, self._image_size)
 
     def parameters(self, frame: int) -> BodyParameters:
         """Returns the body parameters of a frame of the sequence."""

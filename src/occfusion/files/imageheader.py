@@ -9,6 +9,8 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """Colour type to channels; 3 is a palette, which decodes to colours."""
 
+_PNG_ESSENTIAL = frozenset((b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"))
+
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers that carry the size; the three others in their range are tables."""
 
@@ -61,6 +63,31 @@ def _parse_png(content: bytes) -> ImageHeader:
     return ImageHeader(
         width, height, _PNG_CHANNELS[colour], bits, "png", _png_orientation(content), b"IEND" in content[-64:]
     )
+
+
+def essential_png(content: bytes) -> bytes:
+    """Returns a PNG with only the chunks that make its picture.
+
+    A decoder would otherwise believe the declared length of every chunk (gigabytes, in a file of a few
+    bytes), a second header, animations, and compressed texts.
+
+    Raises:
+        ValueError: the file ends before its end marker, or has two headers.
+    """
+    kept, at = [_PNG_SIGNATURE], len(_PNG_SIGNATURE)
+    while at + 12 <= len(content):
+        length, kind = struct.unpack(">I4s", content[at : at + 8])
+        end = at + 12 + length  # length, kind, content, checksum
+        if end > len(content):
+            break
+        if (kind == b"IHDR") != (at == len(_PNG_SIGNATURE)):
+            raise ValueError("a PNG with a damaged header")
+        if kind in _PNG_ESSENTIAL:
+            kept.append(content[at:end])
+        if kind == b"IEND":
+            return b"".join(kept)
+        at = end
+    raise ValueError("the picture is cut short or damaged")
 
 
 def _png_orientation(content: bytes) -> int:

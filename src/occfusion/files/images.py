@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.errors import DataError
-from occfusion.files.imageheader import ImageHeader, parse_header
+from occfusion.files.imageheader import ImageHeader, essential_png, parse_header
 from occfusion.files.unpickle import read_bytes
 
 MAX_MEGAPIXELS = 64.0
@@ -137,7 +137,11 @@ def _decode(path: Path, max_megapixels: float) -> NDArray[Any]:
     if not header.complete:
         raise DataError(f"{path}: the picture is cut short; get the file again.")
     try:
+        if header.format == "png":
+            content = essential_png(content)
         image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except ValueError as error:
+        raise DataError(f"{path}: {error}; get the file again.") from None
     except cv2.error as error:
         raise DataError(f"{path}: cannot be decoded ({error.err}); get the file again.") from error
     if image is None or image.shape[:2] != (header.height, header.width):

@@ -13,8 +13,13 @@ from torch import Tensor
 _SERIES_BELOW = 1e-2
 """Squared angle under which series are used: the first term left out is below 1e-17 there."""
 
-_NORM_FLOOR = 1e-12
+QUATERNION_FLOOR = 1e-12
 """Quaternions shorter than this count as the identity: their direction is rounding noise."""
+
+# Maps a vector to the 9 entries (row-major) of its cross-product matrix.
+_SKEW = torch.zeros(3, 9, dtype=torch.float64)
+for _component, _entry, _factor in ((0, 5, -1), (0, 7, 1), (1, 2, 1), (1, 6, -1), (2, 1, -1), (2, 3, 1)):
+    _SKEW[_component, _entry] = _factor
 
 # Maps the 16 products q_i q_j of a unit quaternion to the 9 entries of its matrix (row-major both).
 _PRODUCTS_TO_MATRIX = torch.zeros(16, 9, dtype=torch.float64)
@@ -61,9 +66,7 @@ def _cosine_ratio_series(squared: Tensor) -> Tensor:
 
 def skew(vectors: Tensor) -> Tensor:
     """Returns the matrices `[..., 3, 3]` whose product with x is the cross product of `vectors` and x."""
-    x, y, z = vectors.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+    return (vectors @ _SKEW.to(vectors)).unflatten(-1, (3, 3))
 
 
 def normalize_quaternion(quats: Tensor) -> Tensor:
@@ -74,9 +77,9 @@ def normalize_quaternion(quats: Tensor) -> Tensor:
     largest = quats.detach().abs().amax(dim=-1, keepdim=True)
     identity = torch.zeros_like(quats)
     identity[..., 0] = 1.0
-    is_usable = largest >= _NORM_FLOOR
+    is_usable = largest >= QUATERNION_FLOOR
     # a unit vector does not depend on the length, so the (detached) scale leaves value and gradient exact
-    scaled = torch.where(is_usable, quats / largest.clamp(min=_NORM_FLOOR), identity)
+    scaled = torch.where(is_usable, quats / largest.clamp(min=QUATERNION_FLOOR), identity)
     return scaled * (scaled * scaled).sum(-1, keepdim=True).rsqrt()
 
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 
 def bone_transforms(rotations: Tensor, joints: Tensor, parents: Sequence[int]) -> Tensor:
     """Returns the rigid motion of each joint's bone from rest to posed: the paper's `G_k` and `b_k`.
 
-    Joints of the same depth are handled together, so the cost follows the depth of the tree (9 for SMPL).
+    The gradient is written out, since 24 joints are hundreds of tiny steps to autograd; it takes for granted
+    that `rotations` are rotations, whose transpose is their inverse.
 
     Args:
         rotations: rotation of each joint relative to its parent, `[J, 3, 3]`.
@@ -23,20 +26,12 @@ def bone_transforms(rotations: Tensor, joints: Tensor, parents: Sequence[int]) -
     Returns:
         `[J, 4, 4]`; joint 0 of a pose that only turns the root moves points about that joint.
     """
-    tree = _levels(tuple(int(parent) for parent in parents))
-    local = _rigid(rotations, joints - _parent_joints(joints, tree))
-    levels = [local[tree[0].joints]]
-    for level in tree[1:]:
-        levels.append(levels[-1][level.parent_slots] @ local[level.joints])
-    world = torch.cat(levels)[_order(tree)]
-    # where a joint is at rest goes to where it is posed
-    shift = world[:, :3, 3] - (world[:, :3, :3] @ joints.unsqueeze(-1)).squeeze(-1)
-    return _rigid(world[:, :3, :3], shift)
+    return _Kinematics.apply(rotations, joints, tuple(int(parent) for parent in parents))
 
 
 def posed_joints(transforms: Tensor, joints: Tensor) -> Tensor:
     """Returns the posed joint positions `[J, 3]` from `bone_transforms` and the joints at rest `[J, 3]`."""
-    return (transforms[:, :3, :3] @ joints.unsqueeze(-1)).squeeze(-1) + transforms[:, :3, 3]
+    return _turned(transforms[:, :3, :3], joints) + transforms[:, :3, 3]
 
 
 def blend(weights: Tensor, transforms: Tensor) -> Tensor:
@@ -77,42 +72,89 @@ def invert_affine(maps: Tensor) -> Tensor:
     return torch.cat([linear, -(linear @ maps[:, :, 3:])], dim=-1)
 
 
-class _Level:
+class _Kinematics(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rotations: Tensor, joints: Tensor, parents: tuple[int, ...]) -> Tensor:
+        tree = _tree(parents)
+        above = joints[tree.parents].masked_fill(_first(joints, 1), 0.0)
+        local = _rigid(rotations, joints - above)
+        levels = [local[:1]]
+        for level in tree.levels:
+            levels.append(levels[-1][level.parent_slots] @ local[level.joints])
+        world = torch.cat(levels)[tree.order]
+        turns, places = world[:, :3, :3], world[:, :3, 3]
+        ctx.save_for_backward(joints, turns, places)
+        ctx.tree = tree
+        # where a joint is at rest goes to where it is posed
+        return _rigid(turns, places - _turned(turns, joints))
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, None]:
+        joints, turns, places = ctx.saved_tensors
+        tree: _Tree = ctx.tree
+        to_places = gradient[:, :3, 3]
+        to_turns = gradient[:, :3, :3] - to_places.unsqueeze(-1) * joints.unsqueeze(1)
+        # turning joint m carries all below it as one rigid body: R_k = R_m D, p_k = p_m + R_m d with D and d
+        # fixed
+        below = tree.below.to(joints)
+        moments = to_turns @ turns.transpose(1, 2) + to_places.unsqueeze(-1) * places.unsqueeze(1)
+        pull = below @ to_places
+        total = (below @ moments.flatten(1)).unflatten(1, (3, 3)) - pull.unsqueeze(-1) * places.unsqueeze(1)
+        identity = torch.eye(3, dtype=joints.dtype, device=joints.device)
+        above = torch.where(_first(joints, 2), identity, turns[tree.parents])
+        to_rotations = above.transpose(1, 2) @ total @ turns
+        to_offsets = _turned(above.transpose(1, 2), pull)
+        to_joints = to_offsets - _turned(turns.transpose(1, 2), to_places)
+        upwards = torch.tensor(tree.parents[1:], dtype=torch.int64, device=joints.device)
+        return to_rotations, to_joints.index_add(0, upwards, -to_offsets[1:]), None
+
+
+class _Level(NamedTuple):
     """Joints of one depth, and the places of their parents among those of the depth before."""
 
-    def __init__(self, joints: list[int], parent_slots: list[int]) -> None:
-        self.joints = joints
-        self.parent_slots = parent_slots
+    joints: list[int]
+    parent_slots: list[int]
+
+
+class _Tree(NamedTuple):
+    """A joint tree, level by level below the root.
+
+    `parents` has 0 for the root; `order` says where each joint stands in the levels one after another;
+    `below[m][k]` is 1 where joint k is m or below it.
+    """
+
+    levels: tuple[_Level, ...]
+    parents: list[int]
+    order: list[int]
+    below: Tensor
 
 
 @lru_cache(maxsize=16)
-def _levels(parents: tuple[int, ...]) -> tuple[_Level, ...]:
+def _tree(parents: tuple[int, ...]) -> _Tree:
     if not parents or parents[0] != -1 or any(not 0 <= p < k for k, p in enumerate(parents) if k):
         raise ValueError(f"parents {parents}: the first must be -1, the others must precede their children")
-    depth = [0] * len(parents)
-    for joint, parent in enumerate(parents[1:], start=1):
-        depth[joint] = depth[parent] + 1
-    by_depth = [[j for j, d in enumerate(depth) if d == level] for level in range(max(depth) + 1)]
-    slots: list[list[int]] = [[]]
-    slots += [[above.index(parents[j]) for j in here] for above, here in pairwise(by_depth)]
-    return tuple(_Level(joints, slot) for joints, slot in zip(by_depth, slots, strict=True))
+    count = len(parents)
+    ancestors: list[list[int]] = []
+    for joint, parent in enumerate(parents):
+        ancestors.append([*(ancestors[parent] if joint else []), joint])
+    depths = [[j for j in range(count) if len(ancestors[j]) == d] for d in range(1, count + 1)]
+    depths = [joints for joints in depths if joints]
+    levels = [_Level(here, [above.index(parents[j]) for j in here]) for above, here in pairwise(depths)]
+    listed = [joint for joints in depths for joint in joints]
+    below = torch.tensor([[float(m in ancestors[k]) for k in range(count)] for m in range(count)])
+    return _Tree(tuple(levels), [0, *parents[1:]], [listed.index(j) for j in range(count)], below)
 
 
-def _order(tree: tuple[_Level, ...]) -> list[int]:
-    """Returns where each joint stands in the list of levels."""
-    listed = [joint for level in tree for joint in level.joints]
-    return [listed.index(joint) for joint in range(len(listed))]
+def _first(joints: Tensor, trailing: int) -> Tensor:
+    """Returns bool `[J, 1, ...]`, true for the root."""
+    flags = torch.zeros(len(joints), *[1] * trailing, dtype=torch.bool, device=joints.device)
+    flags[0] = True
+    return flags
 
 
-def _parent_joints(joints: Tensor, tree: tuple[_Level, ...]) -> Tensor:
-    """Returns the rest position of each joint's parent `[J, 3]`; the origin for the root."""
-    parents = [0] * len(joints)
-    for above, level in pairwise(tree):
-        for joint, slot in zip(level.joints, level.parent_slots, strict=True):
-            parents[joint] = above.joints[slot]
-    is_root = torch.zeros(len(joints), 1, dtype=torch.bool, device=joints.device)
-    is_root[0] = True
-    return joints[parents].masked_fill(is_root, 0.0)
+def _turned(rotations: Tensor, vectors: Tensor) -> Tensor:
+    return (rotations @ vectors.unsqueeze(-1)).squeeze(-1)
 
 
 def _rigid(rotations: Tensor, translations: Tensor) -> Tensor:

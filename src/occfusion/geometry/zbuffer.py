@@ -59,19 +59,19 @@ def rasterize_mesh(
     Raises:
         ValueError: an array has another shape, or a face names a vertex that does not exist.
     """
-    pixels = np.ascontiguousarray(pixels, dtype=np.float64)
-    depths = np.ascontiguousarray(depths, dtype=np.float64)
-    faces = np.ascontiguousarray(faces, dtype=np.int32)
-    if pixels.ndim != 2 or pixels.shape[1] != 2 or depths.shape != pixels.shape[:1]:
-        raise ValueError(f"pixels must be [V, 2] and depths [V]; got {pixels.shape} and {depths.shape}")
-    if faces.ndim != 2 or faces.shape[1] != 3:
-        raise ValueError(f"faces must be [F, 3]; got {faces.shape}")
-    if faces.size and (faces.min() < 0 or faces.max() >= len(pixels)):
-        raise ValueError(f"faces name vertices {faces.min()}..{faces.max()} of {len(pixels)}")
+    points: NDArray[np.float64] = np.ascontiguousarray(pixels, dtype=np.float64)
+    distances: NDArray[np.float64] = np.ascontiguousarray(depths, dtype=np.float64)
+    corners: NDArray[np.int32] = np.ascontiguousarray(faces, dtype=np.int32)
+    if points.ndim != 2 or points.shape[1] != 2 or distances.shape != points.shape[:1]:
+        raise ValueError(f"pixels must be [V, 2] and depths [V]; got {points.shape} and {distances.shape}")
+    if corners.ndim != 2 or corners.shape[1] != 3:
+        raise ValueError(f"faces must be [F, 3]; got {corners.shape}")
+    if corners.size and (corners.min() < 0 or corners.max() >= len(points)):
+        raise ValueError(f"faces name vertices {corners.min()}..{corners.max()} of {len(points)}")
     depth = np.full((height, width), np.inf, np.float32)
     face = np.full((height, width), NO_FACE, np.int32)
     barycentrics = np.zeros((height, width, 3), np.float32)
-    _fill(pixels, depths, faces, near, cull, depth, face, barycentrics)
+    _fill(points, distances, corners, near, cull, depth, face, barycentrics)
     return ZBuffer(depth, face, barycentrics)
 
 

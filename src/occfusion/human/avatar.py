@@ -8,14 +8,14 @@ from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from occfusion.errors import ConfigError
 from occfusion.files.bodyfile import NUM_JOINTS
 from occfusion.geometry.neighbours import Neighbours, nearest
 from occfusion.geometry.skinning import bone_transforms
-from occfusion.human.binding import Binding, Carried, bind, carry
+from occfusion.human.binding import Binding, bind
 from occfusion.human.body import Body
+from occfusion.human.carry import Carried, blend_columns, carry
 from occfusion.human.deform import PoseRefiner, SkinningField, skinning_weights
 from occfusion.human.gaussians import Gaussians
 from occfusion.splat.harmonics import evaluate
@@ -33,6 +33,10 @@ GROUPS = {
     "quats": "raw_quats",
 }
 """Optimiser groups of the Gaussians, by the name of the parameter in each."""
+
+
+_TOUCHING = 1e-6
+"""Metres; a Gaussian nearer to the camera has no direction to be seen from, and is not drawn anyway."""
 
 
 class Avatar(nn.Module):
@@ -156,24 +160,25 @@ class Avatar(nn.Module):
             DataError: the pose has another number of joints, or more betas than the body.
         """
         carried = self.deform(pose)
-        covariances = carried.roots @ carried.roots.transpose(1, 2)
         turned = carried.linear if self.sh_frame == "canonical" else None
         colors = self._colors(carried.means, camera_centre, turned)
-        return Cloud(carried.means, covariances, self.gaussians.opacities, colors)
+        return Cloud(carried.means, carried.covariances, self.gaussians.opacities, colors)
 
     def deform(self, pose: Pose) -> Carried:
-        """Returns centres and covariance roots in a pose, world coordinates, without colours."""
-        body, means = self.body, self.gaussians.means
+        """Returns centres and covariances in a pose, world coordinates, without colours."""
+        body, gaussians = self.body, self.gaussians
         rotations = body.rotations(pose.global_orient, pose.body_pose)
         if self.pose_refiner is not None:
-            rotations = self.pose_refiner(pose.body_pose.reshape(-1).to(means), rotations)
+            rotations = self.pose_refiner(pose.body_pose.reshape(-1).to(gaussians.means), rotations)
         betas = body.check_betas(pose.betas)
         joints = body.joint_template + body.joint_dirs[:, :, : len(betas)] @ betas
         transforms = bone_transforms(rotations, joints, body.parents)
-        carried = carry(
-            means, self.gaussians.roots(), self._binding(), self._offsets(betas, rotations), transforms
+        binding = self._binding()
+        posed_maps = blend_columns(binding.weights, transforms, pose.transl.to(gaussians.means))
+        offsets = self._offsets(betas, rotations)
+        return carry(
+            gaussians.means, gaussians.raw_quats, gaussians.scales, binding.rest_maps, offsets, posed_maps
         )
-        return carried._replace(means=carried.means + pose.transl.to(means))
 
     def canonical(self, camera_centre: Tensor, angle: float = 0.0) -> Cloud:
         """Returns the Gaussians in the Da pose around their own origin; the centres are the parameters.
@@ -189,20 +194,22 @@ class Avatar(nn.Module):
             c, s = math.cos(angle), math.sin(angle)
             turn = means.new_tensor([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
             means, roots = means @ turn.T, turn @ roots
-        turned = turn.expand(len(means), 3, 3) if turn is not None and self.sh_frame == "canonical" else None
+        turned = None if turn is None or self.sh_frame != "canonical" else turn.unsqueeze(-1)
         colors = self._colors(means, camera_centre, turned)
         return Cloud(means, roots @ roots.transpose(1, 2), self.gaussians.opacities, colors)
 
     def _colors(self, means: Tensor, camera_centre: Tensor, turned: Tensor | None) -> Tensor:
-        """Returns colours `[N, 3]`; `turned [N, 3, 3]` is the turn that directions are taken back by."""
+        """Returns colours `[N, 3]`; `turned [3, 3, N]` is the turn that directions are taken back by."""
         degree = self._active_sh_degree
-        directions = means - camera_centre.to(means)
         if degree == 0:
-            return evaluate(self.gaussians.sh0, directions.detach(), 0)
+            return evaluate(self.gaussians.sh0, means.detach(), 0)  # the same from everywhere
+        directions = (means - camera_centre.to(means)).T
         if turned is not None:
-            # the transpose undoes the turn; what a blend of turns stretches is taken out by normalising
-            directions = (directions.unsqueeze(1) @ turned).squeeze(1)
-        return evaluate(self.gaussians.sh(degree), functional.normalize(directions, dim=-1), degree)
+            # the transpose undoes the turn; what a blend of turns stretches is taken out below
+            x, y, z = directions
+            directions = turned[0] * x + turned[1] * y + turned[2] * z
+        squared = directions.square().sum(dim=0).clamp(min=_TOUCHING**2)
+        return evaluate(self.gaussians.sh(degree), (directions * squared.rsqrt()).T, degree)
 
     def _offsets(self, betas: Tensor, rotations: Tensor) -> Tensor:
         """Returns the blend shapes of this shape and pose minus those of the canonical body, `[N, 3]`."""

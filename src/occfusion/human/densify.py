@@ -225,7 +225,7 @@ class Densifier(nn.Module):
         for name in ("gradient_sum", "count"):
             given = state_dict.get(prefix + name)
             if given is not None and given.dim() == 1:
-                setattr(self, name, getattr(self, name).new_zeros(given.shape))
+                setattr(self, name, torch.zeros_like(given, device=getattr(self, name).device))
         super()._load_from_state_dict(state_dict, prefix, *args)
 
 

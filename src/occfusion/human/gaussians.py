@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from occfusion.geometry.neighbours import nearest_others
-from occfusion.geometry.rotation import quaternion_to_matrix
+from occfusion.geometry.rotation import normalize_quaternion, quaternion_to_matrix
 from occfusion.human.body import Body
 
 MIN_SCALE, MAX_SCALE = 1e-5, 0.5
@@ -125,7 +125,7 @@ class Gaussians(nn.Module):
         norms = self.raw_quats.norm(dim=-1, keepdim=True)
         is_off = (norms < _NORM_RANGE[0]) | (norms > _NORM_RANGE[1])
         if bool(is_off.any()):
-            self.raw_quats.div_(torch.where(is_off & (norms > 0), norms, 1.0))
+            self.raw_quats.copy_(torch.where(is_off, normalize_quaternion(self.raw_quats), self.raw_quats))
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
         """Makes room for the number of Gaussians that the state has, then loads as usual."""

@@ -14,7 +14,7 @@ from occfusion.perceptual.weights import MetricWeights, load_lpips, load_stlpips
 from occfusion.types import Box
 
 NORM_EPS = 1e-10
-"""Added to the squared length of a feature vector inside the root: finite gradients where all features are 0."""
+"""Added to the squared length of a feature vector inside the root: finite gradients at zero features."""
 Features = list[Tensor]
 """Unit-length features of a picture, `[h, w, C]` for each of the five blocks."""
 
@@ -30,8 +30,8 @@ class PerceptualMetric(nn.Module):
         name: what tables call the figure.
         weights: convolutions and heads.
         antialiased: the pooling that the weights were trained with.
-        centred: map 0..1 to -1..1 as the metrics were defined; False feeds 0..1, which gives other, lower figures
-            (a widespread slip in published tables).
+        centred: map 0..1 to -1..1 as the metrics were defined; False feeds 0..1, a widespread slip in
+            published tables that gives other, lower figures.
     """
 
     def __init__(self, name: str, weights: MetricWeights, *, antialiased: bool, centred: bool = True) -> None:
@@ -43,16 +43,17 @@ class PerceptualMetric(nn.Module):
             self.register_buffer(f"head{number}", head)
 
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
-        """Returns the distance of two pictures, a scalar.
+        """Returns the distance of two pictures, a scalar that is differentiable in the first of them.
 
         Args:
             a: `[H, W, 3]` in 0..1.
-            b: the same shape.
+            b: the same shape; taken as fixed.
         """
         if a.shape != b.shape:
             raise ValueError(f"the two pictures differ in shape: {list(a.shape)} and {list(b.shape)}")
         return self.distance(a, self.features(b))
 
+    @torch.no_grad()
     def features(self, picture: Tensor) -> Features:
         """Returns the features of a picture `[H, W, 3]`, to be kept and given to `distance` again and again.
 
@@ -67,14 +68,14 @@ class PerceptualMetric(nn.Module):
             if layer.shape != wanted.shape:
                 raise ValueError("the target's features are those of a picture of another size")
             head: Tensor = getattr(self, f"head{number}")
-            total = total + _LayerDistance.apply(layer, wanted, head)  # type: ignore[no-untyped-call]
+            total = total + _LayerDistance.apply(layer, wanted, head)
         return total
 
     def _layers(self, picture: Tensor) -> list[Tensor]:
         if picture.dim() != 3 or picture.shape[2] != 3 or picture.numel() == 0:
             raise ValueError(f"{self.name} needs pictures [H, W, 3], got {list(picture.shape)}")
         height, width = picture.shape[:2]
-        x = picture.to(self.network.mean.dtype).clamp(0, 1).permute(2, 0, 1)[None]
+        x = picture.to(self.network.dtype).clamp(0, 1).permute(2, 0, 1)[None]
         least = self.network.minimum_size
         x = F.pad(x, (0, max(least - width, 0), 0, max(least - height, 0)))
         layers = self.network(x * 2 - 1 if self.centred else x)
@@ -82,7 +83,7 @@ class PerceptualMetric(nn.Module):
 
 
 class _LayerDistance(torch.autograd.Function):
-    """The distance of one block; its gradient with respect to the first features only, the target is fixed."""
+    """The distance of one block, differentiable in the first features; the target is fixed."""
 
     @staticmethod
     def forward(ctx, layer: Tensor, wanted: Tensor, head: Tensor) -> Tensor:  # type: ignore[no-untyped-def]
@@ -106,7 +107,9 @@ def _unit(layer: Tensor) -> tuple[Tensor, Tensor]:
     return layer * inverse, inverse
 
 
-def load_perceptual(name: str, vgg_path: Path | str | None = None, *, centred: bool = True) -> PerceptualMetric:
+def load_perceptual(
+    name: str, vgg_path: Path | str | None = None, *, centred: bool = True
+) -> PerceptualMetric:
     """Returns a perceptual metric with its published weights, frozen.
 
     Args:
@@ -124,14 +127,15 @@ def load_perceptual(name: str, vgg_path: Path | str | None = None, *, centred: b
     title = "ST-LPIPS (VGG)" if antialiased else "LPIPS (VGG)"
     if not centred:
         title = title.replace("(VGG)", "(VGG, inputs 0..1)")
-    return PerceptualMetric(title, weights, antialiased=antialiased, centred=centred).requires_grad_(False).eval()
+    return PerceptualMetric(title, weights, antialiased=antialiased, centred=centred).eval()
 
 
 def random_crop_box(mask: Tensor, size: int, generator: torch.Generator) -> Box:
     """Returns a window of `size` px around a random pixel of `mask`, cut to the picture.
 
-    The window is moved into the mask's bounding box where it is larger than the window, so that no training step
-    is spent on background, and into the picture in any case. An empty mask gives the middle of the picture.
+    The window is moved into the mask's bounding box where it is larger than the window, so that no training
+    step is spent on background, and into the picture in any case. An empty mask gives the middle of the
+    picture.
 
     Args:
         mask: the person, bool `[H, W]`.
@@ -142,7 +146,7 @@ def random_crop_box(mask: Tensor, size: int, generator: torch.Generator) -> Box:
     pixels = mask.nonzero()
     if len(pixels) == 0:
         row, column = height // 2, width // 2
-        first, last = (0, 0), (height - 1, width - 1)
+        first, last = [0, 0], [height - 1, width - 1]
     else:
         row, column = pixels[int(torch.randint(len(pixels), (1,), generator=generator))].tolist()
         first, last = pixels.amin(dim=0).tolist(), pixels.amax(dim=0).tolist()

@@ -12,10 +12,10 @@ BLOCKS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512
 """Output channels of the 3x3 convolutions between two poolings (Simonyan and Zisserman, configuration D)."""
 _MEAN = (-0.030, -0.088, -0.188)
 _SPREAD = (0.458, 0.448, 0.450)
-"""ImageNet's mean and deviation moved to inputs in -1..1: 2 mean - 1 and 2 deviation, as LPIPS rounds them."""
+"""ImageNet's mean and deviation for inputs in -1..1: 2 mean - 1 and 2 deviation, rounded as in LPIPS."""
 _BINOMIAL = (0.25, 0.5, 0.25)
 _BLUR_PADDING = 2
-"""Mirrored pixels on each side before the blur; the shift-tolerant net pads by twice what would keep the size."""
+"""Mirrored pixels on each side before the blur; the net was trained with twice what would keep the size."""
 
 
 def layer_names() -> list[str]:
@@ -35,14 +35,18 @@ def layer_shapes() -> dict[str, tuple[int, int, int, int]]:
 class VggFeatures(nn.Module):
     """VGG16 up to its last convolution; gives the activations before each pooling and at the end.
 
-    The plain network (LPIPS) pools by the maximum of 2x2 pixels at stride 2. The shift-tolerant one (Ghildyal and
-    Liu, ECCV 2022, after Zhang 2019) takes that maximum at every pixel, then blurs with a 3x3 binomial filter and
-    keeps every second: an H px side becomes H // 2 + 1.
+    The plain network (LPIPS) pools by the maximum of 2x2 pixels at stride 2. The shift-tolerant one (Ghildyal
+    and Liu, ECCV 2022, after Zhang 2019) takes that maximum at every pixel, then blurs with a 3x3 binomial
+    filter and keeps every second: an H px side becomes H // 2 + 1.
 
     Args:
         weights: weight `[out, in, 3, 3]` and bias `[out]` of each convolution by `layer_names`.
         antialiased: pool as the shift-tolerant network.
     """
+
+    mean: Tensor
+    spread: Tensor
+    binomial: Tensor
 
     def __init__(self, weights: Mapping[str, tuple[Tensor, Tensor]], *, antialiased: bool) -> None:
         super().__init__()
@@ -55,7 +59,13 @@ class VggFeatures(nn.Module):
             self.register_buffer(f"{name}_bias", bias.clone())
         self.register_buffer("mean", torch.tensor(_MEAN).view(1, 3, 1, 1))
         self.register_buffer("spread", torch.tensor(_SPREAD).view(1, 3, 1, 1))
-        self.register_buffer("binomial", torch.outer(torch.tensor(_BINOMIAL), torch.tensor(_BINOMIAL))[None, None])
+        binomial = torch.tensor(_BINOMIAL)
+        self.register_buffer("binomial", torch.outer(binomial, binomial)[None, None])
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """The type that pictures are converted to."""
+        return self.mean.dtype
 
     @property
     def minimum_size(self) -> int:
@@ -74,10 +84,12 @@ class VggFeatures(nn.Module):
             if number > 1:
                 x = self._pool(x)
             for part, _ in enumerate(block, 1):
-                weight, bias = getattr(self, f"conv{number}_{part}_weight"), getattr(self, f"conv{number}_{part}_bias")
-                x = F.relu_(F.conv2d(x, weight, bias, padding=1))
+                x = self._convolve(x, f"conv{number}_{part}")
             features.append(x)
         return features
+
+    def _convolve(self, x: Tensor, name: str) -> Tensor:
+        return F.relu_(F.conv2d(x, getattr(self, f"{name}_weight"), getattr(self, f"{name}_bias"), padding=1))
 
     def _pool(self, x: Tensor) -> Tensor:
         if not self.antialiased:

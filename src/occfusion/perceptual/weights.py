@@ -1,4 +1,4 @@
-"""Finds the published weights of the perceptual metrics in installed packages or a user's file, and checks them."""
+"""Finds the published weights of the perceptual metrics, in installed packages or a user's file."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def load_stlpips() -> MetricWeights:
     path = _package_file("stlpips_pytorch", "weights/vST0.0/vgg_shift_tolerant.pth")
     if path is None:
         raise ConfigError(
-            "perceptual.name=stlpips: the weights of ST-LPIPS come with the package stlpips_pytorch, which is not "
-            "installed; run: pip install --no-deps stlpips_pytorch==0.0.2"
+            "perceptual.name=stlpips: the weights of ST-LPIPS come with the package stlpips_pytorch, which "
+            "is not installed; run: pip install --no-deps stlpips_pytorch==0.0.2"
         )
     state = _load_checked(path, STLPIPS_SHA256, "perceptual.name=stlpips", "reinstall stlpips_pytorch==0.0.2")
     # each block is a slice whose layers are counted on through pooling (2 layers) and activations
@@ -64,7 +64,7 @@ def load_stlpips() -> MetricWeights:
 
 
 def load_lpips(vgg_path: Path | str | None, *, vgg_sha256: str = VGG_SHA256_PREFIX) -> MetricWeights:
-    """Returns the weights of LPIPS (VGG, version 0.1): the user's VGG16 and the heads of an installed package.
+    """Returns the weights of LPIPS (VGG, version 0.1): the user's VGG16, and heads from a package.
 
     Args:
         vgg_path: torchvision's `vgg16-397923af.pth`.
@@ -82,7 +82,7 @@ def load_lpips(vgg_path: Path | str | None, *, vgg_sha256: str = VGG_SHA256_PREF
         )
     path = Path(vgg_path).expanduser()
     if not path.is_file():
-        raise ConfigError(f"perceptual.vgg_path={path}: no such file; it should be torchvision's vgg16-397923af.pth")
+        raise ConfigError(f"perceptual.vgg_path={path}: no such file; give torchvision's vgg16-397923af.pth")
     state = _load_checked(path, vgg_sha256, "perceptual.vgg_path", "download vgg16-397923af.pth again")
     keys, position = [], 0
     for block in BLOCKS:
@@ -99,7 +99,9 @@ def _lpips_heads(what: str) -> list[Tensor]:
         if path is not None:
             state = _load_checked(path, HEADS_SHA256, what, f"reinstall {package}")
             return _heads(state, path)
-    raise ConfigError(f"{what}: LPIPS's linear heads come with torchmetrics or lpips; run: pip install torchmetrics")
+    raise ConfigError(
+        f"{what}: its linear heads come with torchmetrics or lpips; run: pip install torchmetrics"
+    )
 
 
 def _package_file(package: str, inside: str) -> Path | None:
@@ -120,18 +122,20 @@ def _load_checked(path: Path, sha256: str, what: str, cure: str) -> Mapping[str,
         raise ConfigError(f"{what}: {path} cannot be read ({error.strerror})") from error
     if not found.startswith(sha256):
         raise ConfigError(
-            f"{what}: {path} is not the published file (sha256 {found[:12]}…, expected {sha256[:12]}…); {cure}"
+            f"{what}: {path} is not the published file (sha256 {found[:12]}, expected {sha256[:12]}); {cure}"
         )
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
+    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
         raise ConfigError(f"{what}: {path} cannot be loaded ({error}); {cure}") from error
     if not isinstance(state, Mapping):
         raise ConfigError(f"{what}: {path} holds no table of weights; {cure}")
     return state
 
 
-def _convolutions(state: Mapping[str, Tensor], keys: list[str], path: Path) -> dict[str, tuple[Tensor, Tensor]]:
+def _convolutions(
+    state: Mapping[str, Tensor], keys: list[str], path: Path
+) -> dict[str, tuple[Tensor, Tensor]]:
     return {
         name: (
             _tensor(state, f"{key}.weight", layer_shapes()[name], path),
@@ -152,5 +156,7 @@ def _tensor(state: Mapping[str, Tensor], key: str, shape: tuple[int, ...], path:
     value = state.get(key)
     if value is None or tuple(value.shape) != shape:
         found = "missing" if value is None else f"of shape {list(value.shape)}"
-        raise ConfigError(f"{path}: weight {key} is {found}, expected {list(shape)}; this is another network's file")
+        raise ConfigError(
+            f"{path}: weight {key} is {found}, expected {list(shape)}; is it another network's?"
+        )
     return value.detach().float()

@@ -71,20 +71,13 @@ def rasterize(
         means=means, quats=quats, scales=scales, opacities=opacities, colors=colors,
         viewmat=viewmat.to(means), intrinsics=read_intrinsics(K), width=width, height=height,
         crop=(0, 0, width, height) if crop is None else crop, sh_degree=sh_degree,
-        covariances=covariances, screen_offsets=screen_offsets, antialiased=antialiased,
+        covariances=covariances, screen_offsets=screen_offsets,
+        background=None if background is None else background.to(means), antialiased=antialiased,
         near=near, limits=limits,
     )  # fmt: skip
     check_request(request)
     check_finite(request)
-    layers = render_with(resolve_backend(backend, means.device, means.dtype), request)
-    rgb = layers.rgb
-    if background is not None:
-        if tuple(background.shape) != (3,):
-            raise ConfigError(f"rasterize: background has shape {tuple(background.shape)}, expected (3,)")
-        rgb = rgb + (1 - layers.alpha)[..., None] * background.to(rgb)
-    covered = layers.alpha > 0
-    depth = layers.weighted_depth / torch.where(covered, layers.alpha, 1.0)
-    return Rendering(rgb=rgb, alpha=layers.alpha, depth=depth, radii=layers.radii)
+    return Rendering(*render_with(resolve_backend(backend, means.device, means.dtype), request))
 
 
 def check_finite(request: Request) -> None:

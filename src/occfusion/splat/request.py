@@ -41,6 +41,7 @@ class Request:
         sh_degree: active harmonics degree, None when `colors` are colours.
         covariances: `[N, 3, 3]`, square metres, or None.
         screen_offsets: `[N, 2]` pixels, added to the projected centres, or None.
+        background: colour behind everything, `[3]`; black when None.
         antialiased: whether the dilation keeps a splat's mass (its opacity is scaled).
         near: depth in metres at or below which Gaussians are culled.
         limits: cut-offs of the image formation.
@@ -59,6 +60,7 @@ class Request:
     sh_degree: int | None = None
     covariances: Tensor | None = None
     screen_offsets: Tensor | None = None
+    background: Tensor | None = None
     antialiased: bool = False
     near: float = 0.01
     limits: Limits = DEFAULT_LIMITS
@@ -143,6 +145,8 @@ def _check_shapes(request: Request) -> None:
             raise ConfigError(f"rasterize: {name} has shape {tuple(tensor.shape)}, expected {wanted[name]}")
     if tuple(request.viewmat.shape) != (4, 4):
         raise ConfigError(f"rasterize: viewmat has shape {tuple(request.viewmat.shape)}, expected (4, 4)")
+    if request.background is not None and tuple(request.background.shape) != (3,):
+        raise ConfigError(f"rasterize: background has shape {tuple(request.background.shape)}, expected (3,)")
     _check_colors(request.colors, n, request.sh_degree)
 
 

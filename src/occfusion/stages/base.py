@@ -42,7 +42,7 @@ def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame
     for name, value in terms.items():
         if not bool(torch.isfinite(value)):
             raise NumericsError(
-                f"stage {stage}, step {step}, frame {frame}: the loss term `{name}` is {float(value)}. "
+                f"stage {stage}, step {step}, frame {frame}: the loss term `{name}` is {float(value.detach())}. "
                 f"The state before this step is saved; try smaller learning rates, or look at that frame's data"
             )
 

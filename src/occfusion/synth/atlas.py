@@ -14,6 +14,7 @@ from occfusion.synth.fullbody import HAIR, LEFT_EYE, RIGHT_EYE, SKIN, SKIRT, loa
 from occfusion.synth.rotations import Floats
 
 SIZE = 1024  # texels a side; about 1.7 mm of a grown person's skin each
+COARSEST = 4  # halvings of it that small pictures may ask for
 LAYERS = 2  # skin; and everything else, each in a window of its own
 WINDOWS = {  # x, y, width, height in layer 1, shares of it
     SKIRT: (0.0, 0.0, 0.6, 0.6),
@@ -29,13 +30,15 @@ class Atlas:
     """Texture coordinates, and the place of each texel.
 
     Attributes:
-        uv: texel coordinates of each corner of each face, `[F, 3, 2]`, 0..1.
+        side: texels a side of a layer.
+        uv: texture coordinates of each corner of each face, `[F, 3, 2]`, 0..1.
         layer: layer of each face, `[F]`.
-        texels: flat index into `[LAYERS, SIZE, SIZE]` of each texel that paints something, `[N]`.
+        texels: flat index into `[LAYERS, side, side]` of each texel that paints something, `[N]`.
         points: its place on the template, `[N, 3]`, metres.
         group: its group (`fullbody.GROUPS`), `[N]`.
     """
 
+    side: int
     uv: Floats
     layer: NDArray[np.int64]
     texels: NDArray[np.int64]
@@ -44,8 +47,8 @@ class Atlas:
 
 
 @cache
-def load_atlas() -> Atlas:
-    """Returns the atlas; made once a process (0.3 s)."""
+def load_atlas(side: int = SIZE) -> Atlas:
+    """Returns the atlas with layers of `side` x `side` texels; made once a process (0.3 s)."""
     body = load_full_body()
     uv = body.uv[body.face_uv]
     layer = np.where(body.face_group == SKIN, 0, 1)
@@ -56,34 +59,40 @@ def load_atlas() -> Atlas:
     texels, points, groups = [], [], []
     for k in range(LAYERS):
         own = np.flatnonzero(layer == k)
-        corners = uv[own].reshape(-1, 2) * SIZE
-        seen = rasterize_mesh(corners, np.ones(len(corners)), np.arange(len(corners)).reshape(-1, 3), SIZE, SIZE)
+        corners = uv[own].reshape(-1, 2) * side
+        seen = rasterize_mesh(
+            corners, np.ones(len(corners)), np.arange(len(corners)).reshape(-1, 3), side, side
+        )
         flat = np.flatnonzero(seen.face.ravel() >= 0)
         face = own[seen.face.ravel()[flat]]
         weights = seen.barycentrics.reshape(-1, 3)[flat].astype(np.float64)
-        texels.append(flat + k * SIZE * SIZE)
+        texels.append(flat + k * side * side)
         points.append(np.einsum("nk,nkd->nd", weights, body.template[body.faces[face]]))
         groups.append(body.face_group[face])
-    return Atlas(uv, layer, np.concatenate(texels), np.concatenate(points), np.concatenate(groups))
+    return Atlas(side, uv, layer, np.concatenate(texels), np.concatenate(points), np.concatenate(groups))
 
 
-def fill_and_shrink(colours: Floats, texel: float) -> tuple[NDArray[np.float32], int]:
-    """Returns the texture as an image stack `[LAYERS, S, S, 3]`, at the resolution a picture needs, and S.
+def halvings(texel: float) -> int:
+    """Returns how often the atlas may be halved for texels of `texel` times its own width."""
+    return int(np.clip(np.floor(np.log2(max(texel, 1.0))), 0, COARSEST))
+
+
+def fill(atlas: Atlas, colours: Floats, halve: int) -> NDArray[np.float32]:
+    """Returns the texture as a stack of images, `[LAYERS, S, S, 3]`, halved `halve` times.
 
     Unpainted texels take the mean of painted ones near them (pull-push), so that filtering across the
     edge of an island does not bring in black.
 
     Args:
-        colours: of `Atlas.texels`, `[N, 3]`.
-        texel: width wanted, in texels of the full atlas; rounded down to a power of two.
+        atlas: the atlas.
+        colours: of its texels, `[N, 3]`.
+        halve: how often to average 2 x 2 texels.
     """
-    atlas = load_atlas()
-    image = np.zeros((LAYERS * SIZE * SIZE, 4), np.float32)
+    image = np.zeros((LAYERS * atlas.side**2, 4), np.float32)
     image[atlas.texels, :3] = colours
     image[atlas.texels, 3] = 1.0
-    levels = int(np.clip(np.floor(np.log2(max(texel, 1.0))), 0, 4))
-    out = [_pull_push(layer)[levels] for layer in image.reshape(LAYERS, SIZE, SIZE, 4)]
-    return np.ascontiguousarray(np.stack(out)), SIZE >> levels
+    layers = image.reshape(LAYERS, atlas.side, atlas.side, 4)
+    return np.ascontiguousarray(np.stack([_pull_push(layer)[halve] for layer in layers]))
 
 
 def _pull_push(image: NDArray[np.float32]) -> list[NDArray[np.float32]]:

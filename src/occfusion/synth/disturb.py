@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from occfusion.synth.motion import Take, smooth_noise
 from occfusion.synth.rotations import Floats, axis_angle_from_quaternion, multiply, quaternion_from_axis_angle
 
-POSE_ERROR = 0.035  # radians for each of the three angles of a joint, about 3.5 degrees in all
-ROOT_ERROR = 0.015  # radians
-PLACE_ERROR = 0.010  # metres
+POSE_ERROR = 0.02  # radians for each of the three angles of a joint: 0.035, or 2 degrees, in all
+ROOT_ERROR = 0.01  # radians, each angle
+PLACE_ERROR = 0.006  # metres along each axis: 1 cm in all
 SHAPE_ERROR = 0.3  # standard deviations; of the first component, which is size, a third of it (2 cm)
 ERROR_PERIOD = 8.0  # frames over which an estimator's error wanders
 RAGGED = 1.4  # pixels at 512 by which an edge is off
@@ -50,10 +50,13 @@ def disturb_mask(
     """
     scale = size / 512.0
     height, width = coverage.shape
-    knots = (int(np.ceil(width / (RAGGED_WIDTH * scale))) + 2, int(np.ceil(height / (RAGGED_WIDTH * scale))) + 2)
+    knots = (
+        int(np.ceil(width / (RAGGED_WIDTH * scale))) + 2,
+        int(np.ceil(height / (RAGGED_WIDTH * scale))) + 2,
+    )
     bumps = rng.standard_normal(knots[::-1]).astype(np.float32)
     shift = RAGGED * scale * cv2.resize(bumps, (width, height), interpolation=cv2.INTER_LINEAR)
-    person = coverage >= 0.5
+    person = coverage > 0.5
     if rng.uniform() < BITE_CHANCE and person.any():
         edge = np.argwhere(person)
         row, column = edge[rng.integers(len(edge))]

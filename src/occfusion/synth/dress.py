@@ -16,11 +16,11 @@ from occfusion.synth.subject import Subject
 
 EDGE = 0.012  # metres over which cloth comes away from the skin; a vertex is about 17 mm from the next
 SMOOTHING = 12  # rounds of averaging under cloth: cloth spans hollows
-SHOE_DEPTH, SOLE = 0.008, 0.006
+SHOE_DEPTH, SOLE = 0.006, 0.005
 SOCK_DEPTH = 0.003
 BELT_DEPTH = 0.003
 FOLD_DEPTH = 0.30  # folds at rest, as a share of the looseness
-SKIRT_GAP = 0.012
+SKIRT_GAP = 0.018
 HAIR_GAP = 0.012
 HAIR_LENGTHS = {"short": None, "medium": None, "long": 0.40}  # height where long hair ends
 COVERED = 0.05  # metres above the hem from which legs under a skirt are left out
@@ -94,7 +94,7 @@ def dress(subject: Subject) -> Figure:
 
 
 def _offsets(subject: Subject) -> tuple[Floats, Floats, Floats]:
-    """Returns per vertex how far the surface stands off the skin, how far cloth does, and what is smoothed."""
+    """Returns per vertex how far the surface stands off, how far cloth does, and what is smoothed."""
     body = load_full_body()
     points = body.template
     on_skin = (body.vertex_group == SKIN).astype(np.float64)
@@ -103,17 +103,21 @@ def _offsets(subject: Subject) -> tuple[Floats, Floats, Floats]:
     folds = 1.0 + FOLD_DEPTH * value_noise(points, np.array([0.07, 0.12, 0.07]), subject.number + 3, 2)
     loose_top, loose_bottom = subject.looseness[0] * folds, subject.looseness[1] * folds
     # a top over trousers lies outside them; tucked in, under the belt, it does not reach down
-    cloth = np.maximum(lower * loose_bottom, upper * (loose_top + 0.004 * lower))
+    cloth = np.maximum(lower * loose_bottom, upper * (loose_top + 0.003 * lower))
     cloth += BELT_DEPTH * regions.belt(points, subject, EDGE)
     cloth *= on_skin
     soles = SOLE * (1.0 - regions.step(points[:, 1], -1.0, 0.02))
     feet = np.maximum(SOCK_DEPTH * sock, shoe * (SHOE_DEPTH + soles)) * on_skin
     grows = regions.hair(points, subject, 0.02) * on_skin
     tufts = 1.0 + 0.25 * value_noise(points, 0.03, subject.number + 5, 2)
-    depth = subject.hair_depth * (1.5 if subject.hair_style != "short" else 1.0)
+    depth = subject.hair_depth * (1.4 if subject.hair_style != "short" else 1.0)
     crown = 0.55 + 0.45 * regions.step(points[:, 1], 0.72, 0.08)
     hair = grows * depth * crown * tufts
-    return np.maximum.reduce([cloth, feet, hair]), cloth, np.clip(upper + lower + 1.2 * shoe, 0.0, 1.0) * on_skin
+    return (
+        np.maximum.reduce([cloth, feet, hair]),
+        cloth,
+        np.clip(upper + lower + 1.2 * shoe, 0.0, 1.0) * on_skin,
+    )
 
 
 def _smoothed(points: Floats, faces: NDArray[np.int64], share: Floats) -> Floats:
@@ -123,7 +127,8 @@ def _smoothed(points: Floats, faces: NDArray[np.int64], share: Floats) -> Floats
     out = points
     for round_ in range(2 * SMOOTHING):
         mean = np.stack(
-            [np.bincount(edges[:, 0], out[edges[:, 1], k], minlength=len(points)) / count for k in range(3)], axis=1
+            [np.bincount(edges[:, 0], out[edges[:, 1], k], minlength=len(points)) / count for k in range(3)],
+            axis=1,
         )
         # Taubin's pair of steps, in and out, keeps the volume
         pace = 0.5 if round_ % 2 == 0 else -0.52
@@ -140,7 +145,11 @@ def _shown(subject: Subject) -> NDArray[np.int64]:
     shown = (group == SKIN) | (group == LEFT_EYE) | (group == RIGHT_EYE)
     if subject.bottom == "skirt":
         shown |= (group == SKIRT) & (highest > subject.bottom_hem) & (middle[:, 1] < regions.WAIST + 0.02)
-        legs = (middle[:, 1] < -0.02) & (middle[:, 1] > subject.bottom_hem + COVERED) & (np.abs(middle[:, 0]) < 0.3)
+        legs = (
+            (middle[:, 1] < -0.02)
+            & (middle[:, 1] > subject.bottom_hem + COVERED)
+            & (np.abs(middle[:, 0]) < 0.3)
+        )
         shown &= ~((group == SKIN) & legs)
     length = HAIR_LENGTHS[subject.hair_style]
     if length is not None:

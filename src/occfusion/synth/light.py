@@ -46,7 +46,7 @@ def light_vertices(vertices: Floats, faces: NDArray[np.int64], lighting: Lightin
 
 
 def _lit_share(vertices: Floats, faces: NDArray[np.int64], towards: Floats, reach: int) -> Floats:
-    """Returns the share of light from a direction that arrives, `[V]`: a shadow map, filtered by percentage."""
+    """Returns the share of light from a direction that arrives, `[V]`: a filtered shadow map."""
     side = np.cross(towards, [0.0, 0.0, 1.0] if abs(towards[2]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     axes = np.stack([side, np.cross(towards, side), -towards])

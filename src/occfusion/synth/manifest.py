@@ -40,14 +40,18 @@ def is_current(folder: Path, spec: SceneSpec) -> bool:
     except NotADirectoryError:
         raise DataError(f"{folder}: is a file; choose another folder.") from None
     except (OSError, ValueError) as error:
-        raise DataError(f"{folder / MANIFEST}: cannot be read ({error}); remove the folder to make it anew.") from error
+        raise DataError(
+            f"{folder / MANIFEST}: cannot be read ({error}); remove the folder to make it anew."
+        ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise DataError(f"{folder / MANIFEST}: is not that of an embedded scene; choose another folder.")
     wanted = spec.as_dict()
     there = content.get("spec")
     if there != wanted:
         have = there if isinstance(there, dict) else {}
-        differ = [f"{k} {have.get(k)!r} (wanted {wanted.get(k)!r})" for k in wanted if have.get(k) != wanted[k]]
+        differ = [
+            f"{k} {have.get(k)!r} (wanted {wanted.get(k)!r})" for k in wanted if have.get(k) != wanted[k]
+        ]
         raise DataError(
             f"{folder}: holds the scene with {', '.join(differ) or 'other settings'}. "
             "Choose another output folder, or remove this one."

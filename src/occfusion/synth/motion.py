@@ -27,6 +27,7 @@ MOVE_SECONDS = 3.2
 FADE_SECONDS = 0.6
 TURN_FRAMES = 100  # frames for one full turn, so that one camera sees every side
 MAX_TURN = 0.26  # radians a frame (15 degrees): short takes turn faster, but not absurdly
+FOOT_JOINTS = (7, 8, 10, 11)
 SWAY = 0.12  # metres a person drifts from the middle of the studio
 
 Stretch = tuple[str, int, int]
@@ -86,7 +87,7 @@ def _moved(move: Move, rng: np.random.Generator) -> Floats:
 
 def _chain(parts: list[Floats]) -> Floats:
     fade = round(FADE_SECONDS * TAKE_RATE)
-    share = (np.arange(fade) + 1.0) / (fade + 1.0)
+    share: Floats = np.linspace(0.0, 1.0, fade + 2)[1:-1].astype(np.float64)
     out = parts[0]
     for part in parts[1:]:
         mixed = slerp(out[-fade:], part[:fade], share[:, None])
@@ -130,7 +131,7 @@ def make_take(frames: int, betas: Floats, held_out: bool, rng: np.random.Generat
         length = len(_chain(parts))
     quaternions = _chain(parts)[:frames]
     turn = min(2.0 * np.pi / min(frames, TURN_FRAMES), MAX_TURN)
-    heading = rng.uniform(0.0, 2.0 * np.pi) + turn * np.arange(frames)
+    heading: Floats = rng.uniform(0.0, 2.0 * np.pi) + turn * np.arange(frames, dtype=np.float64)
     heading += 0.15 * smooth_noise(rng, frames, 1, 12.0)[:, 0]
     quaternions[:, 0] = multiply(about_y(heading), quaternions[:, 0])
     poses = axis_angle_from_quaternion(quaternions).reshape(frames, 72)
@@ -141,8 +142,12 @@ def make_take(frames: int, betas: Floats, held_out: bool, rng: np.random.Generat
 
 
 def _lowest(poses: Floats, betas: Floats) -> Floats:
-    """Returns the height of the lowest vertex in each pose, `[T]`, metres."""
+    """Returns the height of the lowest vertex of the feet in each pose, `[T]`, metres."""
     body = load_model_body()
     rest = body.template + body.shapedirs @ betas
     joints = body.regressor @ rest
-    return np.array([skin(rest, body.weights, bone_transforms(p, joints, body.parents))[:, 1].min() for p in poses])
+    feet = body.weights[:, FOOT_JOINTS].sum(1) > 0.5
+    points, weights = rest[feet], body.weights[feet]
+    return np.array(
+        [skin(points, weights, bone_transforms(p, joints, body.parents))[:, 1].min() for p in poses]
+    )

@@ -29,13 +29,15 @@ _CUBE_FACES = np.array(
 )  # fmt: skip
 
 Solid = tuple[Floats, NDArray[np.int64], tuple[float, float, float]]
-"""Vertices in the occluder's own frame (x across the line of sight, y towards the camera, z up), faces, colour."""
+"""Vertices (x across the line of sight, y towards the camera, z up, from the thing's foot), faces, colour."""
 
 
 def _block(
     low: tuple[float, float, float], high: tuple[float, float, float], colour: tuple[float, float, float]
 ) -> Solid:
-    corners = np.array([[x, y, z] for z in (low[2], high[2]) for y in (low[1], high[1]) for x in (low[0], high[0])])
+    corners = np.array(
+        [[x, y, z] for z in (low[2], high[2]) for y in (low[1], high[1]) for x in (low[0], high[0])]
+    )
     return corners, _CUBE_FACES, colour
 
 
@@ -69,7 +71,9 @@ def _poles(width: float, rng: np.random.Generator) -> list[Solid]:
     count = int(rng.integers(2, 4))
     places = (np.arange(count) - 0.5 * (count - 1)) * 0.20 + rng.uniform(-0.03, 0.03, count)
     return [
-        _column(float(x), float(rng.uniform(-0.2, 0.2)), 0.5 * width / count, 2.5, COLOURS[int(rng.integers(5))])
+        _column(
+            float(x), float(rng.uniform(-0.2, 0.2)), 0.5 * width / count, 2.5, COLOURS[int(rng.integers(5))]
+        )
         for x in places
     ]
 
@@ -144,7 +148,9 @@ class Occluder:
         triangles = np.concatenate(faces)
         normals = vertex_normals(points, triangles)
         light = 0.55 + 0.45 * np.abs(normals @ np.array([0.45, -0.55, 0.70]))
-        return Mesh(points, light, triangles, np.full((len(triangles), 3, 2), 0.5), np.concatenate(layers), texture)
+        return Mesh(
+            points, light, triangles, np.full((len(triangles), 3, 2), 0.5), np.concatenate(layers), texture
+        )
 
     def fit(self, hidden_share: Callable[[float], float]) -> float:
         """Returns the width with which the wanted share of the person is hidden, metres.

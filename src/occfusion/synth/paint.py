@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.synth import regions
-from occfusion.synth.atlas import fill_and_shrink, load_atlas
+from occfusion.synth.atlas import SIZE, fill, halvings, load_atlas
 from occfusion.synth.fullbody import HAIR, LEFT_EYE, RIGHT_EYE, SKIN, SKIRT
 from occfusion.synth.noise import value_noise
 from occfusion.synth.regions import band, step
@@ -23,14 +23,17 @@ WHITE = np.array([0.93, 0.92, 0.90])
 LOGO_CENTRE = np.array([0.0, 0.335])
 
 
-def paint(subject: Subject, texel: float) -> tuple[NDArray[np.float32], int]:
-    """Returns the person's texture, `[2, S, S, 3]` in 0..1, and S (see `atlas.fill_and_shrink`).
+def paint(subject: Subject, texel: float) -> NDArray[np.float32]:
+    """Returns the person's texture, `[2, S, S, 3]` in 0..1, no finer than a picture needs.
+
+    Painted at twice the resolution and averaged, where that is not beyond the full atlas.
 
     Args:
         subject: the person.
         texel: width of a texel wanted, in texels of the full atlas.
     """
-    atlas = load_atlas()
+    halve = halvings(texel)
+    atlas = load_atlas(SIZE >> max(halve - 1, 0))
     colours = np.zeros((len(atlas.texels), 3))
     painters = {
         SKIN: _paint_body,
@@ -42,7 +45,7 @@ def paint(subject: Subject, texel: float) -> tuple[NDArray[np.float32], int]:
     for group, painter in painters.items():
         own = atlas.group == group
         colours[own] = painter(atlas.points[own], subject)
-    return fill_and_shrink(np.clip(colours, 0.0, 1.0), texel)
+    return fill(atlas, np.clip(colours, 0.0, 1.0), min(halve, 1))
 
 
 def _over(colours: Floats, mask: Floats, paint_: Floats) -> Floats:

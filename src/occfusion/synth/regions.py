@@ -79,9 +79,9 @@ def hair(points: Floats, subject: Subject, width: float) -> Floats:
     ragged = 0.006 * value_noise(points, 0.012, subject.number + 7)
     # the edge falls from the forehead over the temples, round the ears, to the nape
     front = HAIRLINE - 0.35 * np.maximum(side - 0.035, 0.0)
-    behind = NAPES[subject.hair_style]
     share = step(z, 0.035, 0.07)
-    behind = np.where(z < -0.03, behind, max(behind, NAPES["medium"]))
+    nape = NAPES[subject.hair_style]
+    behind = np.where(z < -0.03, nape, max(nape, NAPES["medium"]))
     edge = share * front + (1.0 - share) * behind
     sideburn = band(z, 0.012, 0.05, 0.01) * 0.02
     ear = 1.0 - step(side, 0.079, 0.003) * (1.0 - step(y, 0.705, 0.01)) * step(z, -0.045, 0.01)

@@ -84,12 +84,12 @@ class Scene:
             self._swinging, self._swing = swing(self.figure, self.take)
         self._lighting = Lighting(AMBIENT[spec.light], shadows=self.is_hard)
         sample = RADIUS / (FOCAL * spec.image_size / NOMINAL * SUPERSAMPLING)
-        self._texture, _ = paint(self.subject, sample / TEXEL)
+        self._texture = paint(self.subject, sample / TEXEL)
         self._backgrounds = [make_background(c.place, spec.image_size) for c in self.cameras]
         self._occluder: Occluder | None = None
         if spec.occluders != "none":
             self._occluder = Occluder(spec.occluders, spec.seed, spec.subject, self.cameras[0])
-            self._width = self._occluder.fit(self._hidden_share)
+            self._width = self._fitted(self._occluder)
 
     def _rng(self, *keys: int) -> np.random.Generator:
         return np.random.default_rng([self.spec.seed, self.spec.subject, *keys])
@@ -141,47 +141,52 @@ class Scene:
                 continue
             before = draw(thing, camera.viewmat, camera.K, size)
             occluded, seen = _compose(background, window, before)
-            visible = (seen >= 0.5) & complete
+            visible = (seen > 0.5) & complete
             if shift is not None and window is not None:
                 part = _part(window)
-                visible[part] = move_edge(seen[part] >= 0.5, shift) & complete[part]
+                visible[part] = move_edge(seen[part] > 0.5, shift) & complete[part]
             yield Shot(occluded, visible, image, complete)
 
     def _mask(
         self, coverage: NDArray[np.float32], window: Window | None, rng: np.random.Generator
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32] | None]:
         """Returns the mask of a picture, and in hard scenes how far its edge was moved inside the window."""
-        mask = coverage >= 0.5
+        mask = coverage > 0.5
         if not self.is_hard or window is None:
             return mask, None
         part = _part(window)
         mask[part], shift = disturb_mask(coverage[part], self.spec.image_size, rng)
         return mask, shift
 
-    def _hidden_share(self, width: float) -> float:
-        """Returns the share of the person that the occluder hides from the first camera over the take."""
-        assert self._occluder is not None
+    def _fitted(self, occluder: Occluder) -> float:
+        """Returns the width with which the occluder hides the wanted share of the person, metres."""
         camera = make_cameras(1, FIT_SIZE)[0]
-        hidden = total = 0
-        for frame, window in self._fit_windows(camera.viewmat, camera.K):
-            before = draw(self._occluder.mesh(width, frame), camera.viewmat, camera.K, FIT_SIZE)
-            there = np.isfinite(window.depth)
-            total += int(there.sum())
-            hidden += int((there & (_aligned(before, window)[0] < window.depth)).sum())
-        return hidden / max(total, 1)
+        windows = self._fit_windows(camera.viewmat, camera.K)
+
+        def hidden_share(width: float) -> float:
+            hidden = total = 0
+            for frame, window in windows:
+                before = draw(occluder.mesh(width, frame), camera.viewmat, camera.K, FIT_SIZE)
+                there = np.isfinite(window.depth)
+                total += int(there.sum())
+                hidden += int((there & (_aligned(before, window)[0] < window.depth)).sum())
+            return hidden / max(total, 1)
+
+        return occluder.fit(hidden_share)
 
     def _fit_windows(self, viewmat: Floats, K: Floats) -> list[tuple[int, Window]]:
-        if not hasattr(self, "_fit_cache"):
-            frames = np.unique(np.linspace(0, self.spec.frames - 1, FIT_FRAMES).round().astype(int))
-            drawn = [(int(f), draw(self.mesh(int(f)), viewmat, K, FIT_SIZE)) for f in frames]
-            self._fit_cache = [(f, w) for f, w in drawn if w is not None]
-        return self._fit_cache
+        frames = np.unique(np.linspace(0, self.spec.frames - 1, FIT_FRAMES).round().astype(int))
+        drawn = [(int(f), draw(self.mesh(int(f)), viewmat, K, FIT_SIZE)) for f in frames]
+        return [(f, w) for f, w in drawn if w is not None]
 
 
 def _part(window: Window) -> tuple[slice, slice]:
     """Returns the rows and columns of a picture that a window covers."""
-    height, width = (n // SUPERSAMPLING for n in window.depth.shape)
-    return slice(window.y, window.y + height), slice(window.x, window.x + width)
+    rows, columns = window.depth.shape
+    return (
+        slice(window.y, window.y + rows // SUPERSAMPLING),
+        slice(window.x, window.x + columns // SUPERSAMPLING),
+    )
 
 
 def _aligned(other: Window | None, window: Window) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -191,7 +196,7 @@ def _aligned(other: Window | None, window: Window) -> tuple[NDArray[np.float32],
     if other is None:
         return depth, colour
     x, y = SUPERSAMPLING * (other.x - window.x), SUPERSAMPLING * (other.y - window.y)
-    (h, w), (oh, ow) = depth.shape, other.depth.shape
+    h, w, oh, ow = *window.depth.shape, *other.depth.shape
     top, left, bottom, right = max(y, 0), max(x, 0), min(y + oh, h), min(x + ow, w)
     if top < bottom and left < right:
         source = slice(top - y, bottom - y), slice(left - x, right - x)
@@ -213,5 +218,7 @@ def _compose(
     if window is not None:
         part = _part(window)
         picture[part] = background[part]
-        lay_over(picture, coverage, window.x, window.y, window.depth, window.colour, *_aligned(before, window))
+        lay_over(
+            picture, coverage, window.x, window.y, window.depth, window.colour, *_aligned(before, window)
+        )
     return np.clip(picture + 0.5, 0.0, 255.0).astype(np.uint8), coverage

@@ -90,12 +90,15 @@ def make_cameras(count: int, size: int) -> list[StudioCamera]:
 
 
 def make_background(place: int, size: int) -> NDArray[np.float32]:
-    """Returns the empty studio as the camera at a place sees it, `[size, size, 3]`, 0..255: folds, floor and a little noise."""
+    """Returns the empty studio as the camera at a place sees it, `[size, size, 3]`, 0..255."""
     rng = np.random.default_rng([_SEED, place, size])
     x = (np.arange(size) + 0.5) / size
     y = x[:, None]
     phase = rng.uniform(0.0, 6.28, 3)
-    folds = sum(np.sin(2.0 * np.pi * f * x + p) / k for k, (f, p) in enumerate(zip((11, 23, 41), phase, strict=True), 1))
+    folds = sum(
+        np.sin(2.0 * np.pi * f * x + p) / k
+        for k, (f, p) in enumerate(zip((11, 23, 41), phase, strict=True), 1)
+    )
     curtain = 1.0 + 0.25 * folds[None] + 0.3 * (1.0 - y)
     floor = 1.0 / (1.0 + np.exp(-(y - 0.83) / 0.01))
     level = (1.0 - floor) * curtain + floor * (1.5 + 1.2 * (y - 0.83))

@@ -16,7 +16,7 @@ _SEED = 20_406  # fixed for ever: the numbered people must stay who they are
 PATTERNS = ("striped", "plain", "logo", "plaid", "raglan")
 SLEEVES = ("short", "long", "short", "none", "long", "short", "long")
 BOTTOMS = ("trousers", "shorts", "trousers", "skirt", "trousers", "loose")
-HAIR_STYLES = ("short", "medium", "short", "long")
+HAIR_STYLES = ("medium", "short", "short", "long", "short", "medium", "short")
 NECKLINES = ("round", "v", "round", "wide")
 
 MIN_HEIGHT, MAX_HEIGHT = 1.52, 1.92  # metres; the first shape component is chosen to meet the height drawn
@@ -124,8 +124,8 @@ def _top_colours(rng: np.random.Generator) -> Floats:
 def make_subject(number: int) -> Subject:
     """Returns the person of that number, always the same.
 
-    Cuts go round in cycles, so that any dozen neighbours show all of them: numbers 3, 9, ... 105 wear a skirt,
-    5, 11, ... 101 loose trousers.
+    Cuts go round in cycles, so that any dozen neighbours show all of them: numbers 3, 9, ... 105 wear a
+    skirt, 5, 11, ... 101 loose trousers.
 
     Raises:
         ValueError: the number is negative.
@@ -138,16 +138,16 @@ def make_subject(number: int) -> Subject:
     sleeves = SLEEVES[number % len(SLEEVES)]
     dark = rng.uniform() < 0.6
     has_belt = bottom != "skirt" and bool(rng.uniform() < 0.5)
-    loose = rng.uniform([0.006, 0.006], [0.011, 0.010])
+    loose = rng.uniform([0.0045, 0.0045], [0.0075, 0.007])
     if bottom == "loose":
-        loose = rng.uniform([0.014, 0.014], [0.020, 0.018])
+        loose = rng.uniform([0.012, 0.012], [0.018, 0.016])
     return Subject(
         number=number,
         betas=betas,
         skin=np.array(SKIN_TONES[rng.integers(len(SKIN_TONES))]) * rng.uniform(0.95, 1.05),
         hair=np.array(HAIR_COLOURS[rng.integers(len(HAIR_COLOURS))]),
-        hair_style="long" if bottom == "skirt" else HAIR_STYLES[rng.integers(len(HAIR_STYLES))],
-        hair_depth=rng.uniform(0.014, 0.026),
+        hair_style="long" if bottom == "skirt" else HAIR_STYLES[number % len(HAIR_STYLES)],
+        hair_depth=rng.uniform(0.012, 0.020),
         eyes=np.array(EYE_COLOURS[rng.integers(len(EYE_COLOURS))]),
         pattern=PATTERNS[number % len(PATTERNS)],
         top_colours=_top_colours(rng),
@@ -157,7 +157,9 @@ def make_subject(number: int) -> Subject:
         top_hem=0.02 if has_belt or bottom == "skirt" else rng.uniform(-0.10, -0.03),
         bottom=bottom,
         bottom_colour=_colour(rng, (0.05, 0.5), (0.15, 0.38) if dark else (0.45, 0.75)),
-        bottom_hem={"shorts": rng.uniform(-0.46, -0.36), "skirt": rng.uniform(-0.58, -0.42)}.get(bottom, -0.925),
+        bottom_hem={"shorts": rng.uniform(-0.46, -0.36), "skirt": rng.uniform(-0.58, -0.42)}.get(
+            bottom, -0.925
+        ),
         has_belt=has_belt,
         shoe_colour=_colour(rng, (0.0, 0.5), (0.12, 0.9)),
         looseness=loose,

@@ -5,7 +5,8 @@
 | `annots.npy` | cameras (`K`, `R`, `T` in millimetres, `D`) and picture paths |
 | `Camera_B1/000000.jpg` ... | pictures |
 | `mask/<same>.png` | the person as seen, 0 and 1 |
-| `new_params/{i}.npy`, `new_vertices/{i}.npy` | `poses`, `Rh`, `Th`, `shapes`; body vertices in the world, metres |
+| `new_params/{i}.npy` | `poses`, `Rh`, `Th`, `shapes` |
+| `new_vertices/{i}.npy` | body vertices in the world, metres |
 | `images_complete/<same>.jpg`, `mask_complete/<same>.png` | without the occluder; only where there is one |
 | `body.npz` | the body, SMPL's keys |
 | `scene.json` | the settings; written last |
@@ -39,6 +40,9 @@ BYTES_PER_PIXEL = 0.15  # measured: 0.09 for picture and mask at 512 pixels
 BYTES_PER_PICTURE = 3_000
 BYTES_PER_FRAME = 90_000  # parameters and vertices
 MAX_THREADS = 8
+
+
+HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 
 
 def write_scene(root: Path | str, spec: SceneSpec, *, progress: bool = True) -> Path:
@@ -94,7 +98,9 @@ def _write_all(folder: Path, scene: Scene, progress: bool) -> None:
 
 
 def _parts(scene: Scene) -> list[str]:
-    return ["", "mask"] if scene.spec.occluders == "none" else ["", "mask", "images_complete", "mask_complete"]
+    return (
+        ["", "mask"] if scene.spec.occluders == "none" else ["", "mask", "images_complete", "mask_complete"]
+    )
 
 
 def _write_frame(folder: Path, scene: Scene, frame: int) -> None:
@@ -123,7 +129,8 @@ def _annotations(scene: Scene) -> dict[str, Any]:
     cameras = scene.cameras
     return {
         "cams": {
-            "K": [c.K for c in cameras],
+            # as calibrated by OpenCV, which puts the centre of the first pixel at 0, not at 0.5
+            "K": [c.K - HALF_PIXEL for c in cameras],
             "R": [c.R for c in cameras],
             "T": [1000.0 * c.T[:, None] for c in cameras],  # millimetres, as released
             "D": [np.zeros((5, 1)) for _ in cameras],
@@ -156,7 +163,9 @@ def _save_encoded(path: Path, suffix: str, image: NDArray[np.uint8], options: li
 
 def _check_space(root: Path, spec: SceneSpec) -> None:
     pictures = spec.frames * spec.cameras * (1 if spec.occluders == "none" else 2)
-    needed = pictures * (spec.image_size**2 * BYTES_PER_PIXEL + BYTES_PER_PICTURE) + spec.frames * BYTES_PER_FRAME
+    needed = (
+        pictures * (spec.image_size**2 * BYTES_PER_PIXEL + BYTES_PER_PICTURE) + spec.frames * BYTES_PER_FRAME
+    )
     free = shutil.disk_usage(root).free
     if free < needed:
         raise DataError(
@@ -226,5 +235,7 @@ def _bar(spec: SceneSpec, shown: bool) -> Iterator[Callable[[], None]]:
         TimeRemainingColumn(),
     )  # fmt: skip
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(f"writing {spec.name}, {spec.image_size} px, {spec.cameras} cameras", total=spec.frames)
+        task = bar.add_task(
+            f"writing {spec.name}, {spec.image_size} px, {spec.cameras} cameras", total=spec.frames
+        )
         yield lambda: bar.advance(task)

@@ -8,16 +8,16 @@ from torch import Tensor
 
 
 class Layers(NamedTuple):
-    """The blended crop over black.
+    """The blended crop.
 
     Attributes:
-        rgb: `[h, w, 3]`.
+        rgb: over the background, `[h, w, 3]`.
         alpha: `[h, w]`.
-        weighted_depth: sum of weight times depth, `[h, w]`, metres.
+        depth: expected depth, `[h, w]`, metres; 0 where alpha is 0.
         radii: half extents of each splat in pixels, `[N, 2]`, 0 where culled; no gradient.
     """
 
     rgb: Tensor
     alpha: Tensor
-    weighted_depth: Tensor
+    depth: Tensor
     radii: Tensor

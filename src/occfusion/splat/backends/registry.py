@@ -20,11 +20,17 @@ def resolve_backend(name: str, device: torch.device, dtype: torch.dtype) -> str:
     """
     if name not in BACKENDS:
         raise ConfigError(f"rasterizer backend {name!r} is unknown; choose one of {', '.join(BACKENDS)}")
-    if name in ("numba", "gsplat"):
+    if name == "gsplat":
         raise ConfigError(f"rasterizer backend {name!r} is not available")
-    return "torch"
+    if name == "auto":
+        return "numba" if device.type == "cpu" and dtype == torch.float32 else "torch"
+    return name
 
 
 def render_with(backend: str, request: Request) -> Layers:
     """Returns the blended layers of a resolved backend."""
+    if backend == "numba":
+        from occfusion.splat.backends import numba_backend
+
+        return numba_backend.render(request)
     return torch_backend.render(request)

@@ -17,7 +17,7 @@ TILE = 8
 
 
 def render(request: Request, tile: int = TILE) -> Layers:
-    """Returns the crop of the picture over black; the tile size changes the speed alone."""
+    """Returns the crop of the picture; the tile size changes the speed alone."""
     splats = project(request)
     colors = _colors(request, splats.index)
     lists = bin_splats(splats, request.crop, tile, request.limits.alpha_min)
@@ -25,8 +25,11 @@ def render(request: Request, tile: int = TILE) -> Layers:
     rgb, alpha, weighted_depth = Blend.apply(
         splats.means2d, splats.factors, splats.opacities, features, lists, request.crop, request.limits
     )
+    if request.background is not None:
+        rgb = rgb + (1 - alpha)[..., None] * request.background
+    depth = weighted_depth / torch.where(alpha > 0, alpha, 1.0)
     radii = request.means.new_zeros(len(request.means), 2).index_copy(0, splats.index, splats.extents)
-    return Layers(rgb, alpha, weighted_depth, radii)
+    return Layers(rgb, alpha, depth, radii)
 
 
 def _colors(request: Request, index: Tensor) -> Tensor:

@@ -1,0 +1,198 @@
+"""Metrics of renderings against truth, region by region; the recipe in prose is `docs/metrics.md`."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from occfusion.errors import ConfigError
+from occfusion.files.atomic import write_bytes
+from occfusion.metrics import OCCUPIED, PSNR_CAP, mask_iou, padded_box, psnr, ssim, ssim_over_black
+from occfusion.perceptual import PerceptualMetric
+from occfusion.types import Box, Frame, Rendering
+
+METRICS = ("psnr", "ssim", "lpips", "mask_iou")
+REGIONS = ("full", "box", "visible", "hidden")
+
+
+@dataclass(frozen=True)
+class ImageRow:
+    """The metrics of one region of one picture; None where a figure cannot be computed.
+
+    Attributes:
+        frame: position of the moment in the sequence.
+        camera: which camera took it.
+        region: one of `REGIONS`.
+        pixels: size of the region; 0 when the picture has no such region or its truth is not known.
+        psnr: decibels, capped at 100.
+        ssim: mean over the region.
+        lpips: the perceptual metric that was given, whatever its name.
+        mask_iou: of alpha > 0.5 with the person's mask.
+    """
+
+    frame: int
+    camera: int
+    region: str
+    pixels: int = 0
+    psnr: float | None = None
+    ssim: float | None = None
+    lpips: float | None = None
+    mask_iou: float | None = None
+
+
+@torch.inference_mode()
+def evaluate_frames(
+    render: Callable[[Frame], Rendering],
+    frames: Iterable[Frame],
+    regions: Sequence[str],
+    perceptual: PerceptualMetric | None,
+) -> list[ImageRow]:
+    """Returns one row for each frame and region, frames in their order.
+
+    Args:
+        render: gives the picture over black at the size of the frame.
+        frames: what to compare with; taken one at a time.
+        regions: some of `REGIONS`.
+        perceptual: fills the `lpips` column; None leaves it empty.
+
+    Raises:
+        ConfigError: an unknown region.
+    """
+    rows: list[ImageRow] = []
+    for frame in frames:
+        rows += evaluate_image(render(frame), frame, regions, perceptual)
+    return rows
+
+
+def evaluate_image(
+    rendering: Rendering, frame: Frame, regions: Sequence[str], perceptual: PerceptualMetric | None
+) -> list[ImageRow]:
+    """Returns one row a region for one rendering over black; arguments as `evaluate_frames`."""
+    unknown = set(regions) - set(REGIONS)
+    if unknown:
+        raise ConfigError(f"unknown regions {sorted(unknown)}; choose from {', '.join(REGIONS)}")
+    rgb, alpha = rendering.rgb.clamp(0, 1), rendering.alpha
+    scores = []
+    for region in regions:
+        comparison = _comparison(region, frame, rgb.device)
+        figures = {} if comparison is None else _figures(comparison, rgb, alpha > OCCUPIED, perceptual)
+        scores.append(ImageRow(frame.index, frame.camera_index, region, **figures))
+    return scores
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """What a region is compared with.
+
+    Attributes:
+        truth: `[H, W, 3]`, black outside the person.
+        person: the mask that alpha is compared with, bool `[H, W]`; None when there is nothing to compare
+            with.
+        domain: pixels where masks are compared, bool `[H, W]`; None for all.
+        pixels: pixels whose colours count; everything else is blacked in both pictures; None for all.
+        box: what SSIM and the perceptual metric look at; None for the whole frame.
+    """
+
+    truth: Tensor
+    person: Tensor | None
+    domain: Tensor | None
+    pixels: Tensor | None
+    box: Box | None
+
+
+def _comparison(region: str, frame: Frame, device: torch.device) -> _Comparison | None:
+    """Returns what to compare in a region; None when the frame has none or its truth is not known."""
+    if region == "visible":
+        return _visible(frame, device)
+    if frame.truth is None:
+        return None
+    rgb, mask = frame.truth.rgb.to(device), frame.truth.mask.to(device)
+    if region == "full":
+        return _Comparison(rgb, mask, None, None, None)
+    if region == "box":
+        box = padded_box(mask)
+        return None if box is None else _Comparison(rgb, mask, _inside(box, mask), None, box)
+    unseen = ~frame.visible_mask.to(device)
+    occluded = None if frame.occluded is None else frame.occluded.to(device)
+    # a noisy visible mask leaves out rims that no occluder covers; where the occluder is known, it decides
+    pixels = mask & (unseen if occluded is None else occluded)
+    box = padded_box(pixels)
+    return (
+        None if box is None else _Comparison(rgb, mask, unseen if occluded is None else occluded, pixels, box)
+    )
+
+
+def _inside(box: Box, like: Tensor) -> Tensor:
+    x, y, w, h = box
+    inside = torch.zeros_like(like)
+    inside[y : y + h, x : x + w] = True
+    return inside
+
+
+def _visible(frame: Frame, device: torch.device) -> _Comparison | None:
+    pixels = frame.visible_mask.to(device)
+    box = padded_box(pixels)
+    if box is None:
+        return None
+    person = pixels if frame.truth is None else frame.truth.mask.to(device)
+    if frame.occluded is None:
+        # what lies behind an unknown occluder cannot be told from background: alpha has no truth there
+        return _Comparison(frame.rgb.to(device), None, None, pixels, box)
+    return _Comparison(frame.rgb.to(device), person, ~frame.occluded.to(device), pixels, box)
+
+
+def _figures(
+    comparison: _Comparison, rgb: Tensor, occupied: Tensor, perceptual: PerceptualMetric | None
+) -> dict[str, Any]:
+    truth, pixels, domain, person = comparison.truth, comparison.pixels, comparison.domain, comparison.person
+    if pixels is not None:
+        rgb, truth = rgb * pixels[..., None], truth * pixels[..., None]
+    overlap = None if person is None else mask_iou(occupied, person, domain)
+    if comparison.box is not None:
+        x, y, w, h = comparison.box
+        window = (slice(y, y + h), slice(x, x + w))
+        rgb, truth = rgb[window], truth[window]
+        pixels = None if pixels is None else pixels[window]
+    return {
+        "pixels": truth.shape[0] * truth.shape[1] if pixels is None else int(pixels.sum()),
+        "psnr": psnr(rgb, truth, pixels),
+        "ssim": ssim_over_black(rgb, truth) if pixels is None else ssim(rgb, truth, pixels),
+        "lpips": None if perceptual is None else float(perceptual(rgb, truth)),
+        "mask_iou": overlap,
+    }
+
+
+def summarise(rows: Iterable[ImageRow]) -> dict[str, dict[str, float | int | None]]:
+    """Returns the mean over images of every metric in every region, None where no image has it.
+
+    Beside the metrics: `images`, how many had the region, and `psnr_capped`, how many reached the PSNR cap.
+    """
+    rows = [row for row in rows if row.pixels > 0]
+    return {region: _mean([row for row in rows if row.region == region]) for region in REGIONS}
+
+
+def _mean(rows: list[ImageRow]) -> dict[str, float | int | None]:
+    result: dict[str, float | int | None] = {}
+    for metric in METRICS:
+        values = [value for row in rows if (value := getattr(row, metric)) is not None]
+        result[metric] = sum(values) / len(values) if values else None
+    result["images"] = len(rows)
+    result["psnr_capped"] = sum(row.psnr is not None and row.psnr >= PSNR_CAP for row in rows)
+    return result
+
+
+def write_per_image_csv(path: Path | str, rows: Iterable[ImageRow]) -> None:
+    """Writes one line for each row; an empty field is a figure that cannot be computed."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, [field.name for field in fields(ImageRow)], lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
+    write_bytes(path, text.getvalue().encode())

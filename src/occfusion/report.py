@@ -1,0 +1,172 @@
+"""The page a person looks at first: tables and pictures of one run, as `report.md` in its folder."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from occfusion.errors import CheckpointError
+from occfusion.files.atomic import write_bytes
+from occfusion.tables import METRICS, figure, heading
+
+REGION_NOTES = {
+    "full": "held-out cameras, whole frame over black",
+    "box": "held-out cameras, the person's padded box",
+    "visible": "training views, the part of the person that was seen",
+    "hidden": "training views, the part of the person that was occluded",
+}
+CURVE_NAME = "error_vs_time"
+
+
+def write_report(run_dir: Path | str) -> Path:
+    """Writes `report.md`, and `error_vs_time.png` where there is a curve; returns the path of the report.
+
+    Raises:
+        CheckpointError: the folder has no readable `metrics.json`, which the end of a run writes.
+    """
+    folder = Path(run_dir)
+    metrics = _read_json(folder / "metrics.json")
+    plan = _read_json(folder / "plan.json") if (folder / "plan.json").is_file() else None
+    environment = _read_json(folder / "environment.json") if (folder / "environment.json").is_file() else None
+    sections = [_head(metrics), _figures(metrics)]
+    curve = _read_rows(folder / f"{CURVE_NAME}.csv")
+    if curve:
+        name = metrics["perceptual_metric"]
+        plot_error_vs_time(folder / f"{CURVE_NAME}.csv", folder / f"{CURVE_NAME}.png", name)
+        sections.append(_curve(curve, name))
+    sections += [_pictures(folder), _plan(plan), _environment(environment)]
+    path = folder / "report.md"
+    write_bytes(path, ("\n\n".join(s for s in sections if s) + "\n").encode())
+    return path
+
+
+def plot_error_vs_time(table: Path | str, picture: Path | str, perceptual_metric: str | None = None) -> None:
+    """Draws `error_vs_time.csv`: one panel a metric, one line a stage, over training seconds.
+
+    Args:
+        table: the CSV file.
+        picture: the PNG to write.
+        perceptual_metric: the name of what the `lpips` column holds.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = _read_rows(Path(table))
+    shown = [m for m in METRICS if any(row[m] for row in rows)]
+    drawing = Figure(figsize=(3.6 * max(len(shown), 1), 3.0), layout="constrained")
+    FigureCanvasAgg(drawing)
+    for number, metric in enumerate(shown, 1):
+        axes = drawing.add_subplot(1, len(shown), number)
+        for stage in dict.fromkeys(row["stage"] for row in rows):
+            measured = [row for row in rows if row["stage"] == stage and row[metric]]
+            seconds = [float(row["train_seconds"]) for row in measured]
+            axes.plot(
+                seconds, [float(row[metric]) for row in measured], marker="o", markersize=3, label=stage
+            )
+        axes.set_title(heading(metric, perceptual_metric).removesuffix(" x1000"), fontsize=10)
+        axes.set_xlabel("training seconds")
+        axes.set_xscale("symlog", linthresh=1.0)  # measured at 0, t, 2t, 4t, ...
+        axes.grid(alpha=0.3)
+    if shown:
+        drawing.axes[0].legend(fontsize=8)
+    buffer = io.BytesIO()
+    drawing.savefig(buffer, format="png", dpi=110)
+    write_bytes(picture, buffer.getvalue())
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Returns a Markdown table; the first column is aligned to the left, the others to the right."""
+    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def _head(metrics: Mapping[str, Any]) -> str:
+    seconds = metrics["train_seconds"]
+    parts = ", ".join(
+        f"{stage} {seconds[stage]:.1f}" for stage in seconds if seconds[stage] and stage != "total"
+    )
+    return (
+        f"# {metrics['dataset']} {metrics['scene']}, variant {metrics['variant']}\n\n"
+        f"Trained in {seconds['total'] or 0.0:.1f} s ({parts or 'nothing trained'}); "
+        f"{metrics['gaussians']} Gaussians; peak memory {metrics['peak_memory_mb']:.0f} MB; "
+        f"evaluated on {metrics['images']} held-out images."
+    )
+
+
+def _figures(metrics: Mapping[str, Any]) -> str:
+    name = metrics["perceptual_metric"]
+    rows, capped = [], 0
+    for region, values in metrics["regions"].items():
+        note = REGION_NOTES.get(region, "")
+        images = values.get("images")
+        capped += values.get("psnr_capped", 0)
+        cells = [figure(metric, values[metric]) for metric in METRICS]
+        rows.append([f"{region}: {note}", "-" if images is None else str(images), *cells])
+    table = markdown_table(["region", "images", *(heading(metric, name) for metric in METRICS)], rows)
+    notes = [
+        "A dash is a figure that could not be computed. Every image counts the same; see `per_image.csv`."
+    ]
+    if capped:
+        notes.append(f"{capped} images reached the cap of the PSNR, 100 dB.")
+    return f"## Figures\n\n{table}\n\n{' '.join(notes)}"
+
+
+def _curve(rows: Sequence[Mapping[str, str]], name: str | None) -> str:
+    header = ["stage", "step", "seconds", *(heading(metric, name) for metric in METRICS), "Gaussians"]
+    body = []
+    for row in rows:
+        cells = [figure(metric, float(row[metric]) if row[metric] else None) for metric in METRICS]
+        body.append(
+            [row["stage"], row["step"], f"{float(row['train_seconds']):.1f}", *cells, row["gaussians"]]
+        )
+    return (
+        "## Error against training time\n\nOn a fixed handful of held-out images; the clock stands "
+        "still while they are measured.\n\n"
+        f"![error against time]({CURVE_NAME}.png)\n\n{markdown_table(header, body)}"
+    )
+
+
+def _pictures(folder: Path) -> str:
+    files = sorted((folder / "pictures").glob("*.png"))
+    links = [f"### {file.stem.replace('_', ' ')}\n\n![{file.stem}](pictures/{file.name})" for file in files]
+    return "## Pictures\n\n" + "\n\n".join(links) if links else ""
+
+
+def _plan(plan: Mapping[str, Any] | None) -> str:
+    if plan is None:
+        return ""
+    rows = [[d["part"], "yes" if d["used"] else "no", d["reason"]] for d in plan["decisions"]]
+    return "## What was done and what was left out\n\n" + markdown_table(["part", "used", "why"], rows)
+
+
+def _environment(environment: Mapping[str, Any] | None) -> str:
+    if environment is None:
+        return ""
+    keys = ("command", "date", "processor", "cores", "threads", "accelerator", "python", "git_revision")
+    rows = [
+        [key.replace("_", " "), str(environment[key])] for key in keys if environment.get(key) is not None
+    ]
+    packages = environment.get("packages", {})
+    rows += [[name, version] for name, version in packages.items() if version is not None]
+    return "## Where and with what\n\n" + markdown_table(["", ""], rows)
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        why = f"{path} cannot be read ({error.strerror}); is this the folder of a finished run?"
+        raise CheckpointError(why) from error
+    except json.JSONDecodeError as error:
+        raise CheckpointError(f"{path} is not readable JSON ({error}); run the same command again") from error
+
+
+def _read_rows(path: Path) -> list[dict[str, str]]:
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))

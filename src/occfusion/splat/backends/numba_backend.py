@@ -1,0 +1,237 @@
+"""The `numba` backend: everything on the CPU in compiled loops, float32.
+
+Bitwise the same from run to run and for any number of threads: no two threads write to one place,
+and every sum over tiles or Gaussians is formed in an order fixed by the input.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from occfusion.errors import ConfigError
+from occfusion.splat.backends.layers import Layers
+from occfusion.splat.backends.numba_bins import bin_splats, sort_by_depth
+from occfusion.splat.backends.numba_blend import blend_part
+from occfusion.splat.backends.numba_blend_backward import blend_backward_part
+from occfusion.splat.backends.numba_compile import run_parts
+from occfusion.splat.backends.numba_layout import (
+    GRADIENT_SIZE,
+    SPLAT_SIZE,
+    TILE_HEIGHT,
+    TILE_LANES,
+    TILE_WIDTH,
+    new_planes,
+)
+from occfusion.splat.backends.numba_project import PART, project_part
+from occfusion.splat.backends.numba_project_backward import project_backward_part
+from occfusion.splat.limits import FRUSTUM_MARGIN
+from occfusion.splat.request import Request
+
+Array = np.ndarray
+LEAST_ALPHA_MIN = 1 / 256
+"""The kernels' exponential covers alphas down to this."""
+
+
+def render(request: Request) -> Layers:
+    """Returns the crop of the picture; the backward pass is compiled too.
+
+    Raises:
+        ConfigError: input is not float32 on a CPU, or a cut-off is out of range.
+    """
+    means = request.means
+    if means.dtype != torch.float32 or means.device.type != "cpu":
+        raise ConfigError(
+            f"rasterizer backend 'numba' takes float32 on a CPU, got {means.dtype} on {means.device}; use 'torch'"
+        )
+    if request.limits.alpha_min < LEAST_ALPHA_MIN:
+        raise ConfigError(
+            f"rasterizer backend 'numba' needs alpha_min >= 1/256, got {request.limits.alpha_min}; use 'torch'"
+        )
+    gaussians = (
+        means, request.quats, request.scales, request.covariances, request.opacities, request.colors,
+        request.screen_offsets,
+    )  # fmt: skip
+    return Layers(*_Rasterize.apply(*gaussians, request.viewmat, request.background, request))
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The inputs as arrays; what is absent has no rows."""
+
+    means: Array
+    quats: Array
+    scales: Array
+    covariances: Array
+    opacities: Array
+    colors: Array
+    offsets: Array
+    camera: Array
+    options: Array
+    degree: int
+
+
+@dataclass(frozen=True)
+class Tape:
+    """What the backward pass needs from the forward pass."""
+
+    splats: Array
+    ranks: Array
+    packed: Array
+    starts: Array
+    entries: Array
+    slots: Array
+    tiles: Array
+    grid: Array
+    limits: Array
+    background: Array
+    kept: Array
+
+
+def _planes() -> Array:
+    """Returns working planes for every thread."""
+    return np.tile(new_planes(), (torch.get_num_threads(), 1))
+
+
+def _array(tensor: Tensor | None, *tail: int) -> Array:
+    """Returns the tensor's memory as an array, without rows when there is none."""
+    if tensor is None:
+        return np.empty((0, *tail), np.float32)
+    array: Array = tensor.detach().contiguous().numpy()
+    return array
+
+
+def _inputs(request: Request) -> Inputs:
+    colors = request.colors if request.sh_degree is not None else request.colors[:, None]
+    return Inputs(
+        means=_array(request.means),
+        quats=_array(request.quats, 4),
+        scales=_array(request.scales, 3),
+        covariances=_array(request.covariances, 3, 3),
+        opacities=_array(request.opacities),
+        colors=_array(colors),
+        offsets=_array(request.screen_offsets, 2),
+        camera=pack_camera(request),
+        options=np.array([request.near, request.limits.dilation, request.limits.alpha_min, request.antialiased]),
+        degree=-1 if request.sh_degree is None else request.sh_degree,
+    )
+
+
+def pack_camera(request: Request) -> Array:
+    """Returns the camera as 23 numbers, float64.
+
+    0-8 rotation row by row, 9-11 translation, 12-15 fx fy cx cy, 16-19 the range of x/z and of y/z
+    in which the projection is linearised, 20-22 the centre.
+    """
+    fx, fy, cx, cy = request.intrinsics
+    view = request.viewmat.detach().double().cpu().numpy()
+    rotation, translation = view[:3, :3], view[:3, 3]
+    margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * request.width / fx, FRUSTUM_MARGIN * 0.5 * request.height / fy
+    slopes = [
+        -cx / fx - margin_x, (request.width - cx) / fx + margin_x,
+        -cy / fy - margin_y, (request.height - cy) / fy + margin_y,
+    ]  # fmt: skip
+    parts = [rotation.ravel(), translation, [fx, fy, cx, cy], slopes, -rotation.T @ translation]
+    return np.concatenate(parts).astype(np.float64)
+
+
+def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Tensor, Tensor]:
+    n = len(inputs.means)
+    x, y, width, height = request.crop
+    window = np.array([x + 0.5, x + width - 0.5, y + 0.5, y + height - 0.5])
+    radii = torch.zeros(n, 2)
+    splats = np.empty((n, SPLAT_SIZE), np.float32)
+    run_parts(
+        project_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances, inputs.opacities,
+        inputs.colors, inputs.offsets, inputs.camera, window, inputs.options, inputs.degree, splats, radii.numpy(),
+    )  # fmt: skip
+    order = sort_by_depth(splats)
+    across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
+    packed, ranks, starts, entries, slots = bin_splats(splats, order, x, y, across, down)
+    lengths = np.diff(starts)
+    # longest lists first, so that dealing the tiles out in turn gives each thread a like share
+    tiles = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
+    background = np.zeros(3, np.float32) if request.background is None else _array(request.background)
+    limits = request.limits
+    tape = Tape(
+        splats, ranks, packed, starts, entries, slots, tiles,
+        grid=np.array([x, y, across]),
+        limits=np.array([limits.alpha_max, limits.alpha_min, limits.stop], np.float32),
+        background=background,
+        kept=np.empty((len(tiles), 2, TILE_LANES), np.float32),
+    )  # fmt: skip
+    if request.background is None:
+        rgb = torch.zeros(height, width, 3)
+    else:
+        rgb = request.background.detach().expand(height, width, 3).contiguous()
+    alpha, depth = torch.zeros(height, width), torch.zeros(height, width)
+    run_parts(
+        blend_part, packed, starts, entries, tiles, _planes(), tape.grid, tape.limits,
+        background, rgb.numpy(), alpha.numpy(), depth.numpy(), tape.kept,
+    )  # fmt: skip
+    return tape, rgb, alpha, depth, radii
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, means, quats, scales, covariances, opacities, colors, offsets, viewmat, background, request):  # type: ignore[no-untyped-def]
+        tape, rgb, alpha, depth, radii = _forward(request, _inputs(request))
+        ctx.save_for_backward(means, quats, scales, covariances, opacities, colors, offsets, viewmat, alpha, depth)
+        ctx.tape, ctx.request = tape, request
+        ctx.mark_non_differentiable(radii)
+        ctx.set_materialize_grads(False)
+        return rgb, alpha, depth, radii
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, grad_rgb, grad_alpha, grad_depth, _):  # type: ignore[no-untyped-def]
+        # reading the saved tensors makes autograd complain about any that was changed in between
+        alpha, depth = ctx.saved_tensors[-2:]
+        tape: Tape = ctx.tape
+        inputs = _inputs(ctx.request)
+        pair_slots = np.empty((len(tape.entries), GRADIENT_SIZE), np.float32)
+        run_parts(
+            blend_backward_part, tape.packed, tape.starts, tape.entries, tape.tiles, _planes(),
+            tape.grid, tape.limits, tape.background, alpha.numpy(), depth.numpy(), tape.kept,
+            _array(grad_rgb, 1, 3), _array(grad_alpha, 1), _array(grad_depth, 1), pair_slots,
+        )  # fmt: skip
+        gradients = _gaussian_gradients(ctx.needs_input_grad, inputs, tape, pair_slots)
+        g_background = None
+        if ctx.needs_input_grad[8] and grad_rgb is not None:
+            g_background = ((1 - alpha)[..., None] * grad_rgb).sum((0, 1))
+        return (*gradients, g_background, None)
+
+
+def _gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Array) -> list[Tensor | None]:
+    """Returns the gradients of the eight inputs from means to viewmat; None for those not needed."""
+    shapes: list[tuple[int, ...]] = [
+        inputs.means.shape, inputs.quats.shape, inputs.scales.shape, inputs.covariances.shape,
+        inputs.opacities.shape, inputs.colors.shape, inputs.offsets.shape,
+    ]  # fmt: skip
+    results = [torch.zeros(shape) if need else None for shape, need in zip(shapes, needed, strict=False)]
+    arrays = [
+        _array(result, *shape[1:]) if result is not None else np.empty((0, *shape[1:]), np.float32)
+        for result, shape in zip(results, shapes, strict=True)
+    ]
+    means, quats, scales, covariances, opacities, colors, offsets = arrays
+    pieces = -(-len(inputs.means) // PART) if needed[7] else 0
+    camera = np.zeros((pieces, 12))
+    run_parts(
+        project_backward_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances, inputs.opacities,
+        inputs.colors, inputs.camera, inputs.options, inputs.degree, tape.ranks, tape.splats, tape.slots, pair_slots,
+        means, quats, scales, covariances, opacities, colors, offsets, camera,
+    )  # fmt: skip
+    color = results[5]
+    if color is not None and inputs.degree < 0:
+        results[5] = color[:, 0]
+    viewmat = None
+    if needed[7]:
+        total = torch.from_numpy(camera.sum(0)).float()
+        viewmat = torch.zeros(4, 4)
+        viewmat[:3, :3], viewmat[:3, 3] = total[:9].view(3, 3), total[9:]
+    return [*results, viewmat]

@@ -1,0 +1,162 @@
+"""Order of depth and tile lists for the `numba` kernels."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from occfusion.splat.backends.numba_compile import inline, kernel
+from occfusion.splat.backends.numba_layout import (
+    DEPTH,
+    HALF_HEIGHT,
+    INVERSE_L1,
+    L2,
+    REACH,
+    SPLAT_SIZE,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+    TURN,
+    X_PART,
+    X_WHOLE,
+    Y_PART,
+    Y_WHOLE,
+    M,
+)
+
+SLACK = 1e-3
+"""Pixels by which a splat's reach is widened, so that rounding never loses a pixel."""
+
+RADIX_BITS = 11
+
+
+@kernel
+def sort_by_depth(splats: Any) -> Any:
+    """Returns the visible rows of `splats`, nearest first, equal depths in input order, int32 `[V]`.
+
+    A radix sort of the bits of the depth: positive floats are ordered like their bits, and each pass
+    is stable.
+    """
+    n = splats.shape[0]
+    index, other = np.empty(n, np.int32), np.empty(n, np.int32)
+    depths = np.empty(n, np.float32)
+    visible = 0
+    for i in range(n):
+        if splats[i, REACH] > 0:
+            index[visible] = i
+            depths[visible] = splats[i, DEPTH]
+            visible += 1
+    keys = depths[:visible].view(np.uint32).copy()
+    index, other = index[:visible].copy(), other[:visible].copy()
+    other_keys = np.empty(visible, np.uint32)
+    mask = np.uint32((1 << RADIX_BITS) - 1)
+    counts = np.empty(1 << RADIX_BITS, np.int64)
+    for shift in range(0, 32, RADIX_BITS):
+        counts[:] = 0
+        for i in range(visible):
+            counts[(keys[i] >> np.uint32(shift)) & mask] += 1
+        total = 0
+        for digit in range(counts.shape[0]):
+            count = counts[digit]
+            counts[digit] = total
+            total += count
+        for i in range(visible):
+            digit = (keys[i] >> np.uint32(shift)) & mask
+            place = counts[digit]
+            counts[digit] += 1
+            other[place] = index[i]
+            other_keys[place] = keys[i]
+        index, other = other, index
+        keys, other_keys = other_keys, keys
+    return index
+
+
+@inline
+def strip_span(splat: Any, top: float, bottom: float) -> tuple[float, float]:
+    """Returns the x range, relative to the centre, that the seen ellipse has between two values of dy.
+
+    Exact: each end lies at the ellipse's extreme point or, when that is outside the strip, at the
+    strip's nearer edge. The range is empty (first > second) when the strip misses the ellipse.
+    """
+    half = splat[HALF_HEIGHT]
+    low, high = max(top, -half), min(bottom, half)
+    if low > high:
+        return np.float32(1.0), np.float32(-1.0)
+    right = min(max(splat[TURN], low), high)
+    left = min(max(-splat[TURN], low), high)
+    v_right, v_left = splat[L2] * right, splat[L2] * left
+    u_right = math.sqrt(max(splat[REACH] - v_right * v_right, np.float32(0)))
+    u_left = math.sqrt(max(splat[REACH] - v_left * v_left, np.float32(0)))
+    return (-u_left - splat[M] * left) * splat[INVERSE_L1], (u_right - splat[M] * right) * splat[INVERSE_L1]
+
+
+@inline
+def first_and_last(low: float, high: float, size: int, most: int) -> tuple[int, int]:
+    """Returns the first and last cell of `size` pixels, of 0..most, that hold a pixel centre in [low, high].
+
+    Pixel centres are at whole numbers here. Empty when first > last.
+    """
+    first = max(np.ceil(low - SLACK), 0.0)
+    last = min(np.floor(high + SLACK), float(most * size + size - 1))
+    if not (first <= last):
+        return 1, 0
+    return int(first) // size, int(last) // size
+
+
+@kernel
+def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) -> Any:
+    """Returns packed splats `[V, 16]` in depth order, the rank of each Gaussian and the tile lists.
+
+    Ranks: `[N]`, -1 for Gaussians that are not visible.
+    The lists: for each tile the start of its list, `[tiles + 1]`; the list entries, splat rank and
+    gradient slot, `[pairs, 2]`, front to back; and the first slot of each rank, `[V + 1]`. The slots
+    of a splat follow one another, so that its gradient is a sum over a run.
+    """
+    visible = order.shape[0]
+    packed = np.empty((visible, SPLAT_SIZE), np.float32)
+    ranks = np.full(splats.shape[0], -1, np.int32)
+    for rank in range(visible):
+        packed[rank] = splats[order[rank]]
+        ranks[order[rank]] = rank
+    starts = np.zeros(across * down + 1, np.int32)
+    slots = np.zeros(visible + 1, np.int32)
+    entries = np.empty((0, 2), np.int32)
+    for filling in range(2):
+        slot = 0
+        for rank in range(visible):
+            splat = packed[rank]
+            centre_x = splat[X_WHOLE] - np.float32(x) + splat[X_PART] - np.float32(0.5)
+            centre_y = splat[Y_WHOLE] - np.float32(y) + splat[Y_PART] - np.float32(0.5)
+            half = splat[HALF_HEIGHT]
+            first_row, last_row = first_and_last(centre_y - half, centre_y + half, TILE_HEIGHT, down - 1)
+            for row in range(first_row, last_row + 1):
+                top = np.float32(row * TILE_HEIGHT) - centre_y
+                left, right = strip_span(splat, top, top + np.float32(TILE_HEIGHT - 1))
+                if left > right:
+                    continue
+                first, last = first_and_last(centre_x + left, centre_x + right, TILE_WIDTH, across - 1)
+                for column in range(first, last + 1):
+                    tile = row * across + column
+                    if filling:
+                        place = starts[tile]
+                        starts[tile] += 1
+                        entries[place, 0] = rank
+                        entries[place, 1] = slot
+                    else:
+                        starts[tile] += 1
+                    slot += 1
+            slots[rank + 1] = slot
+        if filling:
+            # each start has moved to its list's end, which is where the next one begins
+            for tile in range(across * down, 0, -1):
+                starts[tile] = starts[tile - 1]
+            starts[0] = 0
+        else:
+            total = 0
+            for tile in range(across * down + 1):
+                count = starts[tile]
+                starts[tile] = total
+                total += count
+            entries = np.empty((slot, 2), np.int32)
+    return packed, ranks, starts, entries, slots

@@ -1,0 +1,69 @@
+"""How the `numba` kernels are compiled, cached and spread over threads.
+
+Kernels are plain serial loops that release the interpreter lock; a few Python threads run them on
+interleaved parts of the work. Compared with numba's own `prange` that compiles in a third of the
+time, needs no threading layer (so there is nothing to clash with the one of torch), and the parts,
+hence every rounding, are the same for any number of threads.
+
+Compiled code is cached beside these files, or where that is read-only in numba's user cache;
+`NUMBA_CACHE_DIR` overrides both.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import lru_cache
+from typing import Any
+
+import numba
+import torch
+
+logger = logging.getLogger(__name__)
+
+FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
+"""What may be rearranged: fused multiply-adds and the order of sums over lanes. Infinities and NaN
+keep their meaning."""
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Returns the function compiled on its first call, without the interpreter lock, from the cache if possible."""
+    options = {"nogil": True, "fastmath": FAST_MATH, "error_model": "numpy", "boundscheck": False}
+    try:
+        compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
+    except RuntimeError as error:  # no folder to cache in can be written
+        logger.warning("compiled rasteriser code cannot be cached (%s); set NUMBA_CACHE_DIR to a folder", error)
+        compiled = numba.njit(**options)(function)
+    return compiled
+
+
+def inline(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Returns a helper that is compiled into the kernels that call it."""
+    helper: Callable[..., Any] = numba.njit(
+        nogil=True, fastmath=FAST_MATH, error_model="numpy", boundscheck=False, inline="never", forceinline=True
+    )(function)
+    return helper
+
+
+@lru_cache(maxsize=4)
+def _pool(workers: int, process: int) -> ThreadPoolExecutor:
+    """Returns the threads; `process` keeps a forked child from waiting for its parent's."""
+    return ThreadPoolExecutor(workers, thread_name_prefix="occfusion-splat")
+
+
+def run_parts(function: Callable[..., None], *arguments: Any) -> None:
+    """Runs `function(*arguments, part, parts)` for every part, as many as torch has threads."""
+    parts = torch.get_num_threads()
+    if parts <= 1:
+        function(*arguments, 0, 1)
+        return
+    pool = _pool(parts - 1, os.getpid())
+    others = [pool.submit(function, *arguments, part, parts) for part in range(1, parts)]
+    try:
+        function(*arguments, 0, parts)
+    finally:
+        wait(others)
+    for other in others:
+        other.result()

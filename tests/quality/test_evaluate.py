@@ -1,0 +1,199 @@
+from __future__ import annotations
+
+import csv
+import dataclasses
+
+import pytest
+import torch
+
+from occfusion.errors import ConfigError
+from occfusion.evaluate import ImageRow, evaluate_frames, evaluate_image, summarise, write_per_image_csv
+from occfusion.types import Camera, Frame, Pose, Rendering, Truth
+from oracles import quality as oracle
+from quality.pictures import noise
+
+HEIGHT, WIDTH = 60, 50
+REGIONS = ("full", "box", "visible", "hidden")
+
+
+def rectangle(rows, columns):
+    mask = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
+    mask[rows[0] : rows[1], columns[0] : columns[1]] = True
+    return mask
+
+
+PERSON = rectangle((10, 50), (12, 36))
+STRIP = rectangle((0, HEIGHT), (20, 30))
+
+
+def frame(*, occluded=STRIP, person=PERSON, with_truth=True, **changes) -> Frame:
+    """A person of noise, and a full-height strip in front of it."""
+    rgb = noise(HEIGHT, WIDTH)[0].float() * person[..., None]
+    visible = person & ~STRIP
+    zeros = torch.zeros(3)
+    made = Frame(
+        index=7, camera_index=3, name="Camera_B4/000007", rgb=rgb * visible[..., None], visible_mask=visible,
+        occluded=occluded, complete_mask=None, truth=Truth(rgb, person) if with_truth else None,
+        camera=Camera(torch.eye(4), torch.eye(3), WIDTH, HEIGHT),
+        pose=Pose(torch.zeros(10), zeros, torch.zeros(69), zeros),
+    )  # fmt: skip
+    return dataclasses.replace(made, **changes)
+
+
+def rendering(alpha=PERSON) -> Rendering:
+    """A disturbed copy of the person, also where nobody stands."""
+    rgb = noise(HEIGHT, WIDTH)[1].float() * alpha[..., None]
+    return Rendering(rgb, alpha.float() * 0.9, alpha.float(), torch.zeros(0, 2))
+
+
+def by_region(rows):
+    return {row.region: row for row in rows}
+
+
+def exact(region_mask, black_outside):
+    """PSNR and SSIM from the oracle over a region, both pictures black outside `black_outside`."""
+    truth = noise(HEIGHT, WIDTH)[0].float() * (PERSON & black_outside)[..., None]
+    ours = rendering().rgb * black_outside[..., None]
+    a, b = ours.double().numpy(), truth.double().numpy()
+    return oracle.psnr(a, b, region_mask.numpy()), a, b
+
+
+def test_full_and_box():
+    rows = by_region(evaluate_image(rendering(), frame(), ("full", "box"), None))
+    everywhere = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
+    psnr, a, b = exact(everywhere, everywhere)
+    similarity = oracle.ssim_map(a, b)
+    assert rows["full"].psnr == pytest.approx(psnr, abs=1e-4)
+    assert rows["full"].ssim == pytest.approx(similarity.mean(), abs=1e-6)
+    assert rows["full"].pixels == HEIGHT * WIDTH
+    # a tenth of 24 x 40 px, rounded up, on each side
+    box = (slice(6, 54), slice(9, 39))
+    inside = rectangle((6, 54), (9, 39))
+    assert rows["box"].pixels == 48 * 30
+    assert rows["box"].psnr == pytest.approx(exact(inside, everywhere)[0], abs=1e-4)
+    assert rows["box"].ssim == pytest.approx(oracle.ssim_map(a[box], b[box]).mean(), abs=1e-6)
+    assert rows["full"].psnr > rows["box"].psnr
+    assert rows["full"].mask_iou == rows["box"].mask_iou == 1
+
+
+@pytest.mark.parametrize(("region", "pixels"), [("visible", PERSON & ~STRIP), ("hidden", PERSON & STRIP)])
+def test_visible_and_hidden(region, pixels):
+    (row,) = evaluate_image(rendering(), frame(), (region,), None)
+    psnr, a, b = exact(pixels, pixels)
+    assert row.pixels == int(pixels.sum())
+    assert row.psnr == pytest.approx(psnr, abs=1e-4)
+    rows, columns = (10, 50), ((12, 36) if region == "visible" else (20, 30))
+    padding = [-(-(end - start) // 10) for start, end in (rows, columns)]
+    window = tuple(slice(s - p, e + p) for (s, e), p in zip((rows, columns), padding, strict=True))
+    expected = oracle.ssim_map(a[window], b[window])[pixels[window].numpy()].mean()
+    assert row.ssim == pytest.approx(expected, abs=1e-6)
+
+
+def test_mask_iou_in_each_region():
+    # the rendering lacks the person's left part under the strip and has a floater on the right, not occluded
+    alpha = (PERSON & ~rectangle((0, HEIGHT), (20, 25))) | rectangle((20, 30), (45, 49))
+    rows = by_region(evaluate_image(rendering(alpha), frame(), REGIONS, None))
+    missing, floater = 40 * 5, 10 * 4
+    person = 40 * 24
+    assert rows["full"].mask_iou == pytest.approx((person - missing) / (person + floater))
+    assert rows["box"].mask_iou == pytest.approx((person - missing) / person)
+    assert rows["visible"].mask_iou == pytest.approx(40 * 14 / (40 * 14 + floater))
+    assert rows["hidden"].mask_iou == pytest.approx(0.5)
+
+
+def test_the_occluder_decides_what_is_hidden_not_a_ragged_mask():
+    ragged = PERSON & ~STRIP & ~rectangle((10, 12), (12, 36))
+    (row,) = evaluate_image(rendering(), frame(visible_mask=ragged), ("hidden",), None)
+    assert row.pixels == int((PERSON & STRIP).sum())
+    (row,) = evaluate_image(rendering(), frame(visible_mask=ragged, occluded=None), ("hidden",), None)
+    assert row.pixels == int((PERSON & ~ragged).sum())
+
+
+def test_what_cannot_be_computed_is_none():
+    rows = by_region(evaluate_image(rendering(), frame(with_truth=False, occluded=None), REGIONS, None))
+    for region in ("full", "box", "hidden"):
+        assert rows[region] == ImageRow(7, 3, region)
+    assert rows["visible"].psnr is not None
+    assert rows["visible"].mask_iou is None
+    nothing = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
+    rows = by_region(evaluate_image(rendering(), frame(occluded=nothing), REGIONS, None))
+    assert rows["hidden"].pixels == 0 and rows["hidden"].psnr is None
+    rows = by_region(
+        evaluate_image(rendering(nothing), frame(person=nothing, visible_mask=nothing), REGIONS, None)
+    )
+    assert rows["full"].psnr == 100 and rows["full"].mask_iou is None
+    assert all(rows[region].pixels == 0 for region in ("box", "visible", "hidden"))
+
+
+def test_a_person_of_one_pixel_in_a_corner():
+    dot = rectangle((0, 1), (WIDTH - 1, WIDTH))
+    row = by_region(evaluate_image(rendering(), frame(person=dot, visible_mask=dot), REGIONS, None))
+    assert row["box"].pixels == 11 * 11
+    assert row["visible"].pixels == 1 and row["visible"].psnr is not None
+
+
+def test_perceptual_column_sees_the_regions_crop(stlpips):
+    ours, seen = rendering(), frame()
+    rows = by_region(evaluate_image(ours, seen, REGIONS, stlpips))
+    assert rows["full"].lpips == pytest.approx(float(stlpips(ours.rgb, seen.truth.rgb)), rel=1e-5)
+    box = (slice(6, 54), slice(9, 39))
+    assert rows["box"].lpips == pytest.approx(float(stlpips(ours.rgb[box], seen.truth.rgb[box])), rel=1e-5)
+    hidden = (PERSON & STRIP)[..., None]
+    box = (slice(6, 54), slice(19, 31))
+    expected = stlpips((ours.rgb * hidden)[box], (seen.truth.rgb * hidden)[box])
+    assert rows["hidden"].lpips == pytest.approx(float(expected), rel=1e-5)
+
+
+def test_a_perfect_rendering():
+    seen = frame()
+    perfect = Rendering(seen.truth.rgb, seen.truth.mask.float(), seen.truth.mask.float(), torch.zeros(0, 2))
+    rows = evaluate_image(perfect, seen, REGIONS, None)
+    assert all((row.psnr, row.ssim, row.mask_iou) == (100, 1, 1) for row in rows)
+    assert all(figures["psnr_capped"] == 1 for figures in summarise(rows).values())
+
+
+def test_frames_are_taken_one_at_a_time_without_gradients():
+    alive = []
+
+    def frames():
+        for index in range(3):
+            alive.append(index)
+            yield frame(index=index)
+
+    def render(seen):
+        assert alive[-1] == seen.index and not torch.is_grad_enabled()
+        return rendering()
+
+    rows = evaluate_frames(render, frames(), ("full", "hidden"), None)
+    wanted = [(i, region) for i in range(3) for region in ("full", "hidden")]
+    assert [(row.frame, row.region) for row in rows] == wanted
+    with pytest.raises(ConfigError, match="unknown regions"):
+        evaluate_frames(lambda _: rendering(), [frame()], ("whole",), None)
+
+
+def test_summary_counts_every_image_once_and_leaves_out_what_is_missing():
+    rows = [
+        ImageRow(0, 1, "full", 10, psnr=20.0, ssim=0.5, lpips=None, mask_iou=1.0),
+        ImageRow(1, 1, "full", 10, psnr=100.0, ssim=0.7, lpips=0.25, mask_iou=None),
+        ImageRow(2, 1, "full"),
+        ImageRow(0, 0, "hidden"),
+    ]
+    summary = summarise(rows)
+    assert summary["full"] == {
+        "psnr": 60.0, "ssim": pytest.approx(0.6), "lpips": 0.25, "mask_iou": 1.0,
+        "images": 2, "psnr_capped": 1,
+    }  # fmt: skip
+    empty = {"psnr": None, "ssim": None, "lpips": None, "mask_iou": None, "images": 0, "psnr_capped": 0}
+    assert summary["hidden"] == summary["box"] == empty
+
+
+def test_per_image_csv(tmp_path):
+    path = tmp_path / "per_image.csv"
+    write_per_image_csv(
+        path, evaluate_image(rendering(), frame(with_truth=False), ("visible", "hidden"), None)
+    )
+    with path.open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [line["region"] for line in lines] == ["visible", "hidden"]
+    assert lines[0]["camera"] == "3" and lines[0]["frame"] == "7" and float(lines[0]["psnr"]) > 5
+    assert lines[1]["psnr"] == lines[1]["mask_iou"] == ""

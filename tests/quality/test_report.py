@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import json
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from occfusion.errors import CheckpointError
+from occfusion.report import markdown_table, plot_error_vs_time, write_report
+
+NOTHING = {"psnr": None, "ssim": None, "lpips": None, "mask_iou": None}
+METRICS = {
+    "dataset": "synthetic", "scene": "101-hard", "variant": "A", "images": 12,
+    "regions": {
+        "full": {"psnr": 27.123, "ssim": 0.98765, "lpips": 0.0421, "mask_iou": 0.951,
+                 "images": 12, "psnr_capped": 2},
+        "box": NOTHING, "visible": NOTHING, "hidden": NOTHING,
+    },
+    "perceptual_metric": "ST-LPIPS (VGG)",
+    "train_seconds": {"init": None, "optim": 61.25, "refine": None, "total": 61.25},
+    "gaussians": 6890, "peak_memory_mb": 812.4, "left_out": ["stage init"],
+}  # fmt: skip
+
+
+@pytest.fixture
+def run_dir(tmp_path):
+    folder = tmp_path / "a run"
+    (folder / "pictures").mkdir(parents=True)
+    (folder / "pictures" / "held_out.png").write_bytes(b"")
+    (folder / "metrics.json").write_text(json.dumps(METRICS))
+    decision = {"part": "stage init", "used": False, "reason": "variant A | does not need it"}
+    (folder / "plan.json").write_text(json.dumps({"decisions": [decision]}))
+    (folder / "environment.json").write_text(json.dumps({"threads": 2, "packages": {"torch": "2.13.0"}}))
+    (folder / "error_vs_time.csv").write_text(
+        "stage,step,train_seconds,wall_seconds,psnr,ssim,lpips,mask_iou,gaussians,peak_memory_mb\n"
+        "optim,0,0,1,10.5,0.5,,0.1,6890,300\n"
+        "optim,40,2.5,4,20.25,0.9,,0.8,6890,310\n"
+    )
+    return folder
+
+
+def test_report_holds_figures_under_their_real_names(run_dir):
+    text = write_report(run_dir).read_text()
+    assert "ST-LPIPS (VGG) x1000" in text
+    assert not re.search(r"(?<!ST-)LPIPS", text)
+    row = next(line for line in text.splitlines() if line.startswith("| full"))
+    assert [cell.strip() for cell in row.split("|")[2:-1]] == ["12", "27.12", "0.9877", "42.1", "0.951"]
+    hidden = next(line for line in text.splitlines() if line.startswith("| hidden"))
+    assert [cell.strip() for cell in hidden.split("|")[2:-1]] == ["-"] * 5
+    assert "2 images reached the cap" in text
+    assert "61.2 s (optim 61.2)" in text
+    assert "variant A \\| does not need it" in text
+
+
+def test_links_are_relative_and_lead_to_files(run_dir):
+    text = write_report(run_dir).read_text()
+    links = re.findall(r"!\[.*?\]\((.*?)\)", text)
+    assert sorted(links) == ["error_vs_time.png", "pictures/held_out.png"]
+    assert all((run_dir / link).is_file() for link in links)
+
+
+def test_curve_is_drawn(run_dir, tmp_path):
+    plot_error_vs_time(run_dir / "error_vs_time.csv", tmp_path / "curve.png", "ST-LPIPS (VGG)")
+    picture = cv2.imread(str(tmp_path / "curve.png"))
+    # three panels: the perceptual column is empty
+    assert picture.shape[1] > 2.5 * picture.shape[0]
+    assert np.ptp(picture) == 255
+
+
+def test_a_run_without_curve_plan_or_pictures(tmp_path):
+    (tmp_path / "metrics.json").write_text(json.dumps(METRICS | {"perceptual_metric": None}))
+    text = write_report(tmp_path).read_text()
+    assert "![" not in text and "perceptual x1000" in text
+
+
+def test_a_folder_that_is_no_run(tmp_path):
+    with pytest.raises(CheckpointError, match=r"metrics\.json"):
+        write_report(tmp_path)
+    (tmp_path / "metrics.json").write_text("{")
+    with pytest.raises(CheckpointError, match="not readable JSON"):
+        write_report(tmp_path)
+
+
+def test_markdown_table_escapes_bars():
+    assert markdown_table(["a", "b"], [["x|y", "1"]]).splitlines() == [
+        "| a | b |",
+        "| --- | ---: |",
+        "| x\\|y | 1 |",
+    ]
