@@ -144,11 +144,12 @@ def test_nothing_is_pickled_or_unpickled_but_by_the_restricted_reader():
                     path, {"files/unpickle.py"}
                 )
                 assert allowed, f"{path}:{node.lineno} uses {ast.unparse(node)}"
-            if isinstance(node, ast.keyword) and node.arg in ("allow_pickle", "weights_only"):
-                safe = isinstance(node.value, ast.Constant) and node.value.value is (
-                    node.arg == "weights_only"
-                )
-                assert safe, f"{path}:{node.lineno} sets {ast.unparse(node)}"
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("load"):
+                for option in node.keywords:
+                    safe = {"allow_pickle": "False", "weights_only": "True"}.get(option.arg or "")
+                    assert safe in (None, ast.unparse(option.value)), (
+                        f"{path}:{node.lineno}: {ast.unparse(option)}"
+                    )
 
 
 def test_no_module_is_part_of_a_cycle():

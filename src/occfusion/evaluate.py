@@ -53,6 +53,7 @@ def evaluate_frames(
     frames: Iterable[Frame],
     regions: Sequence[str],
     perceptual: PerceptualMetric | None,
+    perceptual_every: int = 1,
 ) -> list[ImageRow]:
     """Returns one row for each frame and region, frames in their order.
 
@@ -61,13 +62,16 @@ def evaluate_frames(
         frames: what to compare with; taken one at a time.
         regions: some of `REGIONS`.
         perceptual: fills the `lpips` column; None leaves it empty.
+        perceptual_every: fill it for every k-th frame alone, beginning with the first: on a CPU this metric
+            costs several times all the rest.
 
     Raises:
         ConfigError: an unknown region.
     """
     rows: list[ImageRow] = []
-    for frame in frames:
-        rows += evaluate_image(render(frame), frame, regions, perceptual)
+    for number, frame in enumerate(frames):
+        metric = perceptual if number % perceptual_every == 0 else None
+        rows += evaluate_image(render(frame), frame, regions, metric)
     return rows
 
 
@@ -172,7 +176,8 @@ def _figures(
 def summarise(rows: Iterable[ImageRow]) -> dict[str, dict[str, float | int | None]]:
     """Returns the mean over images of every metric in every region, None where no image has it.
 
-    Beside the metrics: `images`, how many had the region, and `psnr_capped`, how many reached the PSNR cap.
+    Beside the metrics: `images`, how many had the region, `lpips_images`, how many of these have a perceptual
+    figure, and `psnr_capped`, how many reached the PSNR cap.
     """
     rows = [row for row in rows if row.pixels > 0]
     return {region: _mean([row for row in rows if row.region == region]) for region in REGIONS}
@@ -184,6 +189,7 @@ def _mean(rows: list[ImageRow]) -> dict[str, float | int | None]:
         values = [value for row in rows if (value := getattr(row, metric)) is not None]
         result[metric] = sum(values) / len(values) if values else None
     result["images"] = len(rows)
+    result["lpips_images"] = sum(row.lpips is not None for row in rows)
     result["psnr_capped"] = sum(row.psnr is not None and row.psnr >= PSNR_CAP for row in rows)
     return result
 

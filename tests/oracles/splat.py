@@ -52,23 +52,24 @@ def _legendre_over_sine(l: int, m: int, z: Tensor) -> Tensor:
 
 
 def render(means, quats, scales, opacities, colors, viewmat, K, width, height, background=None, sh_degree=None,
-           covariances=None, screen_offsets=None, antialiased=False, near=0.01):  # fmt: skip
-    """(rgb, alpha, depth) with autograd through every line."""
+           covariances=None, screen_offsets=None, antialiased=False, near=0.01, rows=None):  # fmt: skip
+    """(rgb, alpha, depth) with autograd through every line; of the picture's `rows` (first, end) alone if given."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     R, t = viewmat[:3, :3], viewmat[:3, 3]
     lim = {
         "left": cx / fx + 0.15 * width / fx, "right": (width - cx) / fx + 0.15 * width / fx,
         "top": cy / fy + 0.15 * height / fy, "bottom": (height - cy) / fy + 0.15 * height / fy,
     }  # fmt: skip
+    top, end = rows or (0, height)
     ys, xs = torch.meshgrid(
-        torch.arange(height, dtype=means.dtype) + 0.5, torch.arange(width, dtype=means.dtype) + 0.5, indexing="ij"
+        torch.arange(top, end, dtype=means.dtype) + 0.5, torch.arange(width, dtype=means.dtype) + 0.5, indexing="ij"
     )
-    depths = [float(R[2] @ m + t[2]) for m in means.detach()]
+    depths = (means.detach() @ R[2].detach() + t[2].detach()).tolist()
     front = sorted((i for i in range(len(means)) if depths[i] > near), key=lambda i: (depths[i], i))
-    rgb = torch.zeros(height, width, 3, dtype=means.dtype)
-    depth_sum = torch.zeros(height, width, dtype=means.dtype)
-    transmittance = torch.ones(height, width, dtype=means.dtype)
-    running = torch.ones(height, width, dtype=torch.bool)
+    rgb = torch.zeros(end - top, width, 3, dtype=means.dtype)
+    depth_sum = torch.zeros(end - top, width, dtype=means.dtype)
+    transmittance = torch.ones(end - top, width, dtype=means.dtype)
+    running = torch.ones(end - top, width, dtype=torch.bool)
     for i in front:
         p = R @ means[i] + t
         x, y, z = p.unbind()

@@ -171,6 +171,13 @@ def test_frames_are_taken_one_at_a_time_without_gradients():
         evaluate_frames(lambda _: rendering(), [frame()], ("whole",), None)
 
 
+def test_the_perceptual_metric_on_every_third_frame(stlpips):
+    frames = [frame(index=index) for index in range(4)]
+    rows = evaluate_frames(lambda _: rendering(), frames, ("hidden",), stlpips, perceptual_every=3)
+    assert [row.lpips is None for row in rows] == [False, True, True, False]
+    assert all(row.psnr is not None for row in rows)
+
+
 def test_summary_counts_every_image_once_and_leaves_out_what_is_missing():
     rows = [
         ImageRow(0, 1, "full", 10, psnr=20.0, ssim=0.5, lpips=None, mask_iou=1.0),
@@ -181,9 +188,17 @@ def test_summary_counts_every_image_once_and_leaves_out_what_is_missing():
     summary = summarise(rows)
     assert summary["full"] == {
         "psnr": 60.0, "ssim": pytest.approx(0.6), "lpips": 0.25, "mask_iou": 1.0,
-        "images": 2, "psnr_capped": 1,
+        "images": 2, "lpips_images": 1, "psnr_capped": 1,
     }  # fmt: skip
-    empty = {"psnr": None, "ssim": None, "lpips": None, "mask_iou": None, "images": 0, "psnr_capped": 0}
+    empty = {
+        "psnr": None,
+        "ssim": None,
+        "lpips": None,
+        "mask_iou": None,
+        "images": 0,
+        "lpips_images": 0,
+        "psnr_capped": 0,
+    }
     assert summary["hidden"] == summary["box"] == empty
 
 

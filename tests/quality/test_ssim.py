@@ -66,9 +66,9 @@ def test_black_against_white_is_nearly_zero():
 @pytest.mark.stiff
 def test_float32_on_bright_almost_flat_pictures():
     a, b = noise(48, 48)
-    a, b = 1 - 0.02 * a, 1 - 0.02 * b
+    a, b = 1 - 0.05 * a, 1 - 0.05 * b
     error = (ssim_map(a.float(), b.float()).double() - ssim_map(a, b)).abs().max()
-    assert error < 1e-3
+    assert error < 3e-4
 
 
 def test_symmetric_bounded_and_blind_to_channel_order():

@@ -124,7 +124,7 @@ def test_cameras_stand_around_and_look_inwards() -> None:
     for camera in cameras:
         np.testing.assert_allclose(camera.R @ camera.R.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(camera.R) == pytest.approx(1.0)
-        middle = camera.K @ (camera.R @ [0, 0, 0.95] + camera.T)
+        middle = camera.K @ (camera.R @ [0, 0, 0.96] + camera.T)
         assert np.abs(middle[:2] / middle[2] - 512).max() < 20
         above, below = (camera.K @ (camera.R @ [0, 0, h] + camera.T) for h in (1.5, 0.5))
         assert above[1] / above[2] < below[1] / below[2]  # up in the world is up in the picture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from occfusion.errors import ConfigError, NumericsError
@@ -64,7 +63,8 @@ def rasterize(
         ConfigError: wrong shape, dtype or device, singular `K`, unknown or unsuitable backend.
         NumericsError: an input holds NaN or infinity.
     """
-    for name, tensor in {"means": means, "opacities": opacities, "colors": colors, "viewmat": viewmat, "K": K}.items():
+    needed = {"means": means, "opacities": opacities, "colors": colors, "viewmat": viewmat, "K": K}
+    for name, tensor in needed.items():
         if not isinstance(tensor, Tensor):
             raise ConfigError(f"rasterize: {name} must be a tensor, got {type(tensor).__name__}")
     request = Request(
@@ -91,6 +91,4 @@ def check_finite(request: Request) -> None:
         rest = tensor.detach() - tensor.detach()
         if not bool(rest.sum() == 0):
             rows = int((~tensor.detach().isfinite()).flatten(1 if tensor.ndim > 1 else 0).sum())
-            raise NumericsError(
-                f"rasterize: {name} holds {rows} values that are NaN or infinite; find the step that made them"
-            )
+            raise NumericsError(f"rasterize: {name} holds {rows} values that are NaN or infinite")

@@ -106,7 +106,7 @@ def check_request(request: Request) -> None:
     _check_shapes(request)
     x, y, w, h = request.crop
     if request.width < 1 or request.height < 1:
-        raise ConfigError(f"rasterize: width x height must be at least 1 x 1, got {request.width} x {request.height}")
+        raise ConfigError(f"rasterize: a picture of {request.width} x {request.height} pixels is empty")
     if w < 1 or h < 1 or x < 0 or y < 0 or x + w > request.width or y + h > request.height:
         raise ConfigError(
             f"rasterize: crop (x, y, width, height) = {request.crop} is not inside the"
@@ -122,11 +122,12 @@ def _check_kinds(request: Request) -> None:
         raise ConfigError("rasterize: give either quats and scales, or covariances")
     means = request.means
     if means.dtype not in (torch.float32, torch.float64):
-        raise ConfigError(f"rasterize: means must be float32 or float64 (half precision blends wrongly), got {means.dtype}")
+        raise ConfigError(f"rasterize: means must be float32 or float64, not {means.dtype}")
     for name, tensor in request.gaussian_tensors().items():
         if tensor.dtype != means.dtype or tensor.device != means.device:
             raise ConfigError(
-                f"rasterize: {name} is {tensor.dtype} on {tensor.device}, but means is {means.dtype} on {means.device}"
+                f"rasterize: {name} is {tensor.dtype} on {tensor.device},"
+                f" but means is {means.dtype} on {means.device}"
             )
 
 
@@ -154,13 +155,13 @@ def _check_colors(colors: Tensor, n: int, sh_degree: int | None) -> None:
     shape = tuple(colors.shape)
     if sh_degree is None:
         if shape != (n, 3):
-            raise ConfigError(f"rasterize: colors has shape {shape}, expected {(n, 3)}; for harmonics give sh_degree")
+            raise ConfigError(f"rasterize: colors has shape {shape}, expected {(n, 3)} without sh_degree")
         return
     if not 0 <= sh_degree <= MAX_DEGREE:
         raise ConfigError(f"rasterize: sh_degree must be 0..{MAX_DEGREE}, got {sh_degree}")
     least = num_coefficients(sh_degree)
     if colors.ndim != 3 or shape[0] != n or shape[1] < least or shape[2] != 3:
-        raise ConfigError(f"rasterize: colors has shape {shape}, degree {sh_degree} needs ({n}, K >= {least}, 3)")
+        raise ConfigError(f"rasterize: colors has shape {shape}, sh_degree needs ({n}, {least} or more, 3)")
 
 
 def read_intrinsics(K: Tensor) -> Intrinsics:
@@ -176,7 +177,7 @@ def read_intrinsics(K: Tensor) -> Intrinsics:
     finite = all(abs(value) < float("inf") for value in (fx, fy, cx, cy))
     if not finite or fx <= 0 or fy <= 0 or skew != 0 or yx != 0 or bottom != [0.0, 0.0, 1.0]:
         raise ConfigError(
-            "rasterize: K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths and no skew,"
-            f" got {K.tolist()}"
+            "rasterize: K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths,"
+            f" without skew; got {K.tolist()}"
         )
     return Intrinsics(fx, fy, cx, cy)

@@ -53,8 +53,9 @@ def bin_splats(splats: Splats, crop: Box, size: int, alpha_min: float) -> TileLi
     corner = centre.new_tensor([x + 0.5, y + 0.5])
     last_pixel = torch.tensor([width - 1, height - 1], device=centre.device)
     # clamping before the cast keeps huge splats inside the range of integers
-    first = (centre - extent - corner).clamp(-1, max(width, height)).ceil().long().clamp_min(0) // size
-    last = torch.minimum((centre + extent - corner).clamp(-1, max(width, height)).floor().long(), last_pixel) // size
+    largest = max(width, height)
+    first = (centre - extent - corner).clamp(-1, largest).ceil().long().clamp_min(0) // size
+    last = torch.minimum((centre + extent - corner).clamp(-1, largest).floor().long(), last_pixel) // size
     spans = (last - first + 1).clamp_min(0)
     pairs = spans[:, 0] * spans[:, 1]
     rank = torch.repeat_interleave(torch.arange(len(order), device=order.device), pairs)
@@ -85,13 +86,17 @@ def _pixel_index(lists: TileLists, crop: Box) -> Tensor:
 
 
 def tiles_to_picture(stacked: Tensor, lists: TileLists, crop: Box) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns rgb `[h, w, 3]`, alpha and weighted depth `[h, w]` of stacked tiles `[B, 5, S * S]`; zero elsewhere."""
+    """Returns rgb `[h, w, 3]`, alpha and weighted depth `[h, w]` of stacked tiles `[B, 5, S * S]`.
+
+    Pixels of tiles without splats are zero.
+    """
     _, _, width, height = crop
     index = _pixel_index(lists, crop)
     rgb = stacked.new_zeros(height * width + 1, 3)
     rgb[index] = stacked[:, :3].transpose(1, 2).reshape(-1, 3)
     depth, alpha = (
-        stacked.new_zeros(height * width + 1).index_copy_(0, index, stacked[:, channel].flatten()) for channel in (3, 4)
+        stacked.new_zeros(height * width + 1).index_copy_(0, index, stacked[:, channel].flatten())
+        for channel in (3, 4)
     )
     shape = (height, width)
     return rgb[:-1].view(*shape, 3), alpha[:-1].view(shape), depth[:-1].view(shape)
@@ -108,14 +113,16 @@ def picture_to_tiles(
     stacked = like.new_zeros(len(lists.tiles), 5, lists.size**2)
     if rgb is not None:
         picked = rgb.reshape(pixels, 3)[index] * inside[:, None]
-        stacked[:, :3] = picked.view(len(lists.tiles), -1, 3).transpose(1, 2)
+        stacked[:, :3] = picked.view(len(lists.tiles), lists.size**2, 3).transpose(1, 2)
     for channel, layer in ((3, depth), (4, alpha)):
         if layer is not None:
-            stacked[:, channel] = (layer.reshape(-1)[index] * inside).view(len(lists.tiles), -1)
+            stacked[:, channel] = (layer.reshape(-1)[index] * inside).view(len(lists.tiles), lists.size**2)
     return stacked
 
 
-def _reaches_tile(splats: Splats, splat: Tensor, left: Tensor, top: Tensor, size: int, alpha_min: float) -> Tensor:
+def _reaches_tile(
+    splats: Splats, splat: Tensor, left: Tensor, top: Tensor, size: int, alpha_min: float
+) -> Tensor:
     """Returns whether alpha can reach alpha_min at a pixel centre of the tile, bool `[M]`.
 
     The smallest u^2 + v^2 over the tile's rectangle of pixel centres lies on the edges that face the

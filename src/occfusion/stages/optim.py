@@ -140,8 +140,14 @@ class OptimStage(Stage):
         self.clock.stop()
 
     def on_train_batch_start(self, _batch: Any, _batch_idx: int) -> None:
-        """Sets what follows the step: the means' rate, the SH bands in use, the skinning network's turn."""
+        """Densifies when it is time, then sets what follows the step: rates, SH bands, the skinning network's turn.
+
+        Densification belongs to the start of a step: a checkpoint is written at the end of one, before any hook of
+        this module could run, and a resumed run must not miss a round.
+        """
         step, settings = self.global_step, self.settings
+        if self.densifier is not None:
+            self.densifier.step(step, self.avatar, self._adam(), seed=self.seed)
         if step % VERTEX_REFRESH == 0 and step > 0:
             self.avatar.refresh_vertex_index()
         self.avatar.active_sh_degree = min(settings.sh_degree, step // settings.sh_every)
@@ -157,11 +163,6 @@ class OptimStage(Stage):
             gradient = self._screen_offsets.grad
             assert gradient is not None and self._radii is not None and self._camera is not None
             self.densifier.observe(gradient, self._radii, self._camera)
-
-    def on_train_batch_end(self, _outputs: Any, _batch: Any, _batch_idx: int) -> None:
-        """Densifies when it is time."""
-        if self.densifier is not None:
-            self.densifier.step(self.global_step, self.avatar, self._adam(), seed=self.seed)
 
     def _adam(self) -> torch.optim.Adam:
         optimizer = self.optimizers(use_pl_optimizer=False)

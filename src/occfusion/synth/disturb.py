@@ -38,6 +38,17 @@ def disturb_take(take: Take, rng: np.random.Generator) -> Take:
     return Take(poses.reshape(frames, 72), transl)
 
 
+def person_mask(coverage: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Returns the pixels of which more than half shows the person.
+
+    With four samples a pixel, half is a common tie, and either rule for it would grow or shrink every
+    outline by a quarter of a pixel. A touch of the neighbours' coverage tells on which side of the
+    middle the edge runs.
+    """
+    kernel = np.array([1.0, 6.0, 1.0], np.float32) / 8.0
+    return np.asarray(cv2.sepFilter2D(coverage, cv2.CV_32F, kernel, kernel) > 0.5)
+
+
 def disturb_mask(
     coverage: NDArray[np.float32], size: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
@@ -56,7 +67,7 @@ def disturb_mask(
     )
     bumps = rng.standard_normal(knots[::-1]).astype(np.float32)
     shift = RAGGED * scale * cv2.resize(bumps, (width, height), interpolation=cv2.INTER_LINEAR)
-    person = coverage > 0.5
+    person = person_mask(coverage)
     if rng.uniform() < BITE_CHANCE and person.any():
         edge = np.argwhere(person)
         row, column = edge[rng.integers(len(edge))]

@@ -16,7 +16,7 @@ from occfusion.synth.shading import Mesh
 from occfusion.synth.studio import StudioCamera
 
 SHARES = (0.30, 0.48)  # of the person that should be hidden, over the take
-DISTANCE = (1.05, 1.45)  # metres from the middle of the studio, towards the first camera
+DISTANCE = (0.95, 1.3)  # metres from the middle of the studio, towards the first camera
 CROSSING = 60  # frames in which a moving thing goes across and back
 
 WOOD = (0.46, 0.31, 0.19)

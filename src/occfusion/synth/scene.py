@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.synth.cloth import swing, wrinkles
-from occfusion.synth.disturb import disturb_mask, disturb_shape, disturb_take, move_edge
+from occfusion.synth.disturb import disturb_mask, disturb_shape, disturb_take, move_edge, person_mask
 from occfusion.synth.dress import dress
 from occfusion.synth.fullbody import bone_transforms, load_full_body, load_model_body, skin, vertex_normals
 from occfusion.synth.light import AMBIENT, Lighting, light_vertices
@@ -141,17 +141,17 @@ class Scene:
                 continue
             before = draw(thing, camera.viewmat, camera.K, size)
             occluded, seen = _compose(background, window, before)
-            visible = (seen > 0.5) & complete
+            visible = person_mask(seen) & complete
             if shift is not None and window is not None:
                 part = _part(window)
-                visible[part] = move_edge(seen[part] > 0.5, shift) & complete[part]
+                visible[part] = move_edge(person_mask(seen[part]), shift) & complete[part]
             yield Shot(occluded, visible, image, complete)
 
     def _mask(
         self, coverage: NDArray[np.float32], window: Window | None, rng: np.random.Generator
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32] | None]:
         """Returns the mask of a picture, and in hard scenes how far its edge was moved inside the window."""
-        mask = coverage > 0.5
+        mask = person_mask(coverage)
         if not self.is_hard or window is None:
             return mask, None
         part = _part(window)

@@ -11,8 +11,8 @@ from occfusion.synth.rotations import Floats
 
 _SEED = 77  # the rig is the same in all scenes, as a real one is
 NOMINAL = 1024  # pixels of the nominal capture
-FOCAL = 1070.0  # pixels at the nominal size, as in ZJU-MoCap
-RADIUS, HEIGHT, AIM = 3.05, 1.15, 0.95  # metres: of the ring, of the lenses, of what they look at
+FOCAL = 1100.0  # pixels at the nominal size, about that of ZJU-MoCap
+RADIUS, HEIGHT, AIM = 2.65, 1.15, 0.96  # metres: of the ring, of the lenses, of what they look at
 RING = 23
 
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -69,7 +69,7 @@ def make_cameras(count: int, size: int) -> list[StudioCamera]:
         place = round(k * RING / count)
         shift = jitter[place]
         angle = 2.0 * np.pi * place / RING + 0.03 * shift[0]
-        centre = np.array([np.sin(angle), -np.cos(angle), 0.0]) * (RADIUS + 0.12 * shift[1])
+        centre = np.array([np.sin(angle), -np.cos(angle), 0.0]) * (RADIUS + 0.08 * shift[1])
         centre[2] = HEIGHT + 0.12 * shift[2]
         forward = np.array([0.0, 0.0, AIM]) - centre
         forward /= np.linalg.norm(forward)

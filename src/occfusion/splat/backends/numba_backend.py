@@ -47,11 +47,11 @@ def render(request: Request) -> Layers:
     means = request.means
     if means.dtype != torch.float32 or means.device.type != "cpu":
         raise ConfigError(
-            f"rasterizer backend 'numba' takes float32 on a CPU, got {means.dtype} on {means.device}; use 'torch'"
+            f"rasterizer backend 'numba' takes float32 on a CPU, got {means.dtype} on {means.device}"
         )
     if request.limits.alpha_min < LEAST_ALPHA_MIN:
         raise ConfigError(
-            f"rasterizer backend 'numba' needs alpha_min >= 1/256, got {request.limits.alpha_min}; use 'torch'"
+            f"rasterizer backend 'numba' needs alpha_min >= 1/256, got {request.limits.alpha_min}"
         )
     gaussians = (
         means, request.quats, request.scales, request.covariances, request.opacities, request.colors,
@@ -108,6 +108,7 @@ def _array(tensor: Tensor | None, *tail: int) -> Array:
 
 def _inputs(request: Request) -> Inputs:
     colors = request.colors if request.sh_degree is not None else request.colors[:, None]
+    limits = request.limits
     return Inputs(
         means=_array(request.means),
         quats=_array(request.quats, 4),
@@ -117,7 +118,7 @@ def _inputs(request: Request) -> Inputs:
         colors=_array(colors),
         offsets=_array(request.screen_offsets, 2),
         camera=pack_camera(request),
-        options=np.array([request.near, request.limits.dilation, request.limits.alpha_min, request.antialiased]),
+        options=np.array([request.near, limits.dilation, limits.alpha_min, request.antialiased]),
         degree=-1 if request.sh_degree is None else request.sh_degree,
     )
 
@@ -148,7 +149,8 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     splats = np.empty((n, SPLAT_SIZE), np.float32)
     run_parts(
         project_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances, inputs.opacities,
-        inputs.colors, inputs.offsets, inputs.camera, window, inputs.options, inputs.degree, splats, radii.numpy(),
+        inputs.colors, inputs.offsets, inputs.camera, window, inputs.options, inputs.degree, splats,
+        radii.numpy(),
     )  # fmt: skip
     order = sort_by_depth(splats)
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
@@ -168,7 +170,7 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     if request.background is None:
         rgb = torch.zeros(height, width, 3)
     else:
-        rgb = request.background.detach().expand(height, width, 3).contiguous()
+        rgb = request.background.detach().repeat(height, width, 1)
     alpha, depth = torch.zeros(height, width), torch.zeros(height, width)
     run_parts(
         blend_part, packed, starts, entries, tiles, _planes(), tape.grid, tape.limits,
@@ -179,9 +181,10 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, means, quats, scales, covariances, opacities, colors, offsets, viewmat, background, request):  # type: ignore[no-untyped-def]
+    def forward(ctx, *inputs):  # type: ignore[no-untyped-def]
+        *tensors, request = inputs
         tape, rgb, alpha, depth, radii = _forward(request, _inputs(request))
-        ctx.save_for_backward(means, quats, scales, covariances, opacities, colors, offsets, viewmat, alpha, depth)
+        ctx.save_for_backward(*tensors, alpha, depth)
         ctx.tape, ctx.request = tape, request
         ctx.mark_non_differentiable(radii)
         ctx.set_materialize_grads(False)
@@ -222,8 +225,9 @@ def _gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Arr
     pieces = -(-len(inputs.means) // PART) if needed[7] else 0
     camera = np.zeros((pieces, 12))
     run_parts(
-        project_backward_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances, inputs.opacities,
-        inputs.colors, inputs.camera, inputs.options, inputs.degree, tape.ranks, tape.splats, tape.slots, pair_slots,
+        project_backward_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances,
+        inputs.opacities, inputs.colors, inputs.camera, inputs.options, inputs.degree,
+        tape.ranks, tape.splats, tape.slots, pair_slots,
         means, quats, scales, covariances, opacities, colors, offsets, camera,
     )  # fmt: skip
     color = results[5]

@@ -73,7 +73,7 @@ def sort_by_depth(splats: Any) -> Any:
 
 
 @inline
-def strip_span(splat: Any, top: float, bottom: float) -> tuple[float, float]:
+def strip_span(splat: Any, top: float, bottom: float) -> Any:
     """Returns the x range, relative to the centre, that the seen ellipse has between two values of dy.
 
     Exact: each end lies at the ellipse's extreme point or, when that is outside the strip, at the
@@ -119,44 +119,47 @@ def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) 
     for rank in range(visible):
         packed[rank] = splats[order[rank]]
         ranks[order[rank]] = rank
-    starts = np.zeros(across * down + 1, np.int32)
     slots = np.zeros(visible + 1, np.int32)
-    entries = np.empty((0, 2), np.int32)
-    for filling in range(2):
-        slot = 0
-        for rank in range(visible):
-            splat = packed[rank]
-            centre_x = splat[X_WHOLE] - np.float32(x) + splat[X_PART] - np.float32(0.5)
-            centre_y = splat[Y_WHOLE] - np.float32(y) + splat[Y_PART] - np.float32(0.5)
-            half = splat[HALF_HEIGHT]
-            first_row, last_row = first_and_last(centre_y - half, centre_y + half, TILE_HEIGHT, down - 1)
-            for row in range(first_row, last_row + 1):
-                top = np.float32(row * TILE_HEIGHT) - centre_y
-                left, right = strip_span(splat, top, top + np.float32(TILE_HEIGHT - 1))
-                if left > right:
-                    continue
-                first, last = first_and_last(centre_x + left, centre_x + right, TILE_WIDTH, across - 1)
-                for column in range(first, last + 1):
-                    tile = row * across + column
-                    if filling:
-                        place = starts[tile]
-                        starts[tile] += 1
-                        entries[place, 0] = rank
-                        entries[place, 1] = slot
-                    else:
-                        starts[tile] += 1
-                    slot += 1
-            slots[rank + 1] = slot
-        if filling:
-            # each start has moved to its list's end, which is where the next one begins
-            for tile in range(across * down, 0, -1):
-                starts[tile] = starts[tile - 1]
-            starts[0] = 0
-        else:
-            total = 0
-            for tile in range(across * down + 1):
-                count = starts[tile]
-                starts[tile] = total
-                total += count
-            entries = np.empty((slot, 2), np.int32)
+    pairs = np.empty((max(1024, 4 * visible), 2), np.int32)  # tile and rank of each slot
+    slot = 0
+    for rank in range(visible):
+        splat = packed[rank]
+        centre_x = splat[X_WHOLE] - np.float32(x) + splat[X_PART] - np.float32(0.5)
+        centre_y = splat[Y_WHOLE] - np.float32(y) + splat[Y_PART] - np.float32(0.5)
+        half = splat[HALF_HEIGHT]
+        first_row, last_row = first_and_last(centre_y - half, centre_y + half, TILE_HEIGHT, down - 1)
+        for row in range(first_row, last_row + 1):
+            top = np.float32(row * TILE_HEIGHT) - centre_y
+            left, right = strip_span(splat, top, top + np.float32(TILE_HEIGHT - 1))
+            if left > right:
+                continue
+            first, last = first_and_last(centre_x + left, centre_x + right, TILE_WIDTH, across - 1)
+            for column in range(first, last + 1):
+                if slot == pairs.shape[0]:
+                    longer = np.empty((2 * slot, 2), np.int32)
+                    longer[:slot] = pairs
+                    pairs = longer
+                pairs[slot, 0] = row * across + column
+                pairs[slot, 1] = rank
+                slot += 1
+        slots[rank + 1] = slot
+    starts, entries = group_by_tile(pairs[:slot], across * down)
     return packed, ranks, starts, entries, slots
+
+
+@inline
+def group_by_tile(pairs: Any, tiles: int) -> Any:
+    """Returns the start of each tile's list, `[tiles + 1]`, and the lists of (rank, slot), `[pairs, 2]`."""
+    places = np.zeros(tiles + 1, np.int32)
+    for slot in range(pairs.shape[0]):
+        places[pairs[slot, 0] + 1] += 1
+    for tile in range(tiles):
+        places[tile + 1] += places[tile]
+    starts = places.copy()
+    entries = np.empty((pairs.shape[0], 2), np.int32)
+    for slot in range(pairs.shape[0]):
+        tile = pairs[slot, 0]
+        entries[places[tile], 0] = pairs[slot, 1]
+        entries[places[tile], 1] = slot
+        places[tile] += 1
+    return starts, entries

@@ -65,7 +65,7 @@ E0, E1, E2, E3, E4, E5, E6, E7 = (
 
 
 @inline
-def shifted_exp(y: float) -> float:
+def shifted_exp(y: Any) -> Any:
     """Returns exp(y - EXP_SHIFT) for y no less than `LOWEST`; smaller y give the value there."""
     y = y if y > LOWEST else LOWEST
     p = E0 + y * (E1 + y * (E2 + y * (E3 + y * (E4 + y * (E5 + y * (E6 + y * E7))))))

@@ -19,7 +19,6 @@ from occfusion.splat.backends.numba_blend import (
 )
 from occfusion.splat.backends.numba_compile import inline, kernel
 from occfusion.splat.backends.numba_layout import (
-    BLOCK,
     BLUE,
     COLUMN,
     DEPTH,
@@ -168,8 +167,8 @@ def load_gradients(
 
 
 @inline
-def last_needed(p: Any, block_last: Any) -> float:
-    """Returns the last list place that any lane with a gradient saw, and writes it for each block (-1: none)."""
+def last_needed(p: Any, block_last: Any) -> Any:
+    """Returns the last list place that a lane with a gradient saw; writes it for each block (-1: none)."""
     most = -ONE
     for block in range(TILE_BLOCKS):
         needed = -ONE

@@ -29,12 +29,17 @@ keep their meaning."""
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Returns the function compiled on its first call, without the interpreter lock, from the cache if possible."""
-    options = {"nogil": True, "fastmath": FAST_MATH, "error_model": "numpy", "boundscheck": False}
+    """Returns the function, compiled on its first call (or loaded from the cache) to run without the GIL."""
+    options: dict[str, Any] = {
+        "nogil": True,
+        "fastmath": FAST_MATH,
+        "error_model": "numpy",
+        "boundscheck": False,
+    }
     try:
         compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
     except RuntimeError as error:  # no folder to cache in can be written
-        logger.warning("compiled rasteriser code cannot be cached (%s); set NUMBA_CACHE_DIR to a folder", error)
+        logger.warning("compiled rasteriser code cannot be cached (%s); set NUMBA_CACHE_DIR", error)
         compiled = numba.njit(**options)(function)
     return compiled
 
@@ -42,7 +47,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 def inline(function: Callable[..., Any]) -> Callable[..., Any]:
     """Returns a helper that is compiled into the kernels that call it."""
     helper: Callable[..., Any] = numba.njit(
-        nogil=True, fastmath=FAST_MATH, error_model="numpy", boundscheck=False, inline="never", forceinline=True
+        nogil=True, fastmath=FAST_MATH, error_model="numpy", forceinline=True
     )(function)
     return helper
 

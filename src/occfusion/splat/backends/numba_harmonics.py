@@ -59,7 +59,8 @@ def direction_gradient(x: float, y: float, z: float, degree: int, g: Any) -> tup
         xx, yy, zz, xy = x * x, y * y, z * z, x * y
         difference, ring = xx - yy, 4 * zz - xx - yy
         gx += -6 * SH_C3_3 * xy * g[9] + SH_C3_2 * (y * z * g[10] + x * z * g[14]) + 2 * SH_C3_1 * xy * g[11]
-        gx += -6 * SH_C3_0 * x * z * g[12] - SH_C3_1 * (ring - 2 * xx) * g[13] - 3 * SH_C3_3 * difference * g[15]
+        gx += -6 * SH_C3_0 * x * z * g[12] - SH_C3_1 * (ring - 2 * xx) * g[13]
+        gx -= 3 * SH_C3_3 * difference * g[15]
         gy += -3 * SH_C3_3 * difference * g[9] + SH_C3_2 * (x * z * g[10] - y * z * g[14])
         gy += -SH_C3_1 * (ring - 2 * yy) * g[11] - 6 * SH_C3_0 * y * z * g[12]
         gy += 2 * SH_C3_1 * xy * g[13] + 6 * SH_C3_3 * xy * g[15]

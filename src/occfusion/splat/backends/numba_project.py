@@ -41,7 +41,7 @@ PART = 256
 @inline
 def unit_quaternion(quats: Any, i: int) -> tuple[float, float, float, float, float]:
     """Returns w, x, y, z of length 1 and the inverse of the length it had; 0 for no rotation."""
-    w, x, y, z = float(quats[i, 0]), float(quats[i, 1]), float(quats[i, 2]), float(quats[i, 3])
+    w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
     if max(abs(w), abs(x), abs(y), abs(z)) < QUATERNION_FLOOR:
         return 1.0, 0.0, 0.0, 0.0, 0.0
     inverse = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
@@ -52,7 +52,7 @@ def unit_quaternion(quats: Any, i: int) -> tuple[float, float, float, float, flo
 def fill_root(quats: Any, scales: Any, i: int, out: Any) -> None:
     """Writes rotation times scales, the square root of the covariance, to `out` `[9]`, row by row."""
     w, x, y, z, _ = unit_quaternion(quats, i)
-    sx, sy, sz = float(scales[i, 0]), float(scales[i, 1]), float(scales[i, 2])
+    sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
     out[0] = (1 - 2 * (y * y + z * z)) * sx
     out[1] = 2 * (x * y - w * z) * sy
     out[2] = 2 * (x * z + w * y) * sz
@@ -66,7 +66,7 @@ def fill_root(quats: Any, scales: Any, i: int, out: Any) -> None:
 
 @inline
 def fill_affine(camera: Any, x: float, y: float, z: float, out: Any) -> None:
-    """Writes the two rows of Jacobian times view rotation to `out` `[6]`; `camera` as `pack_camera` makes it."""
+    """Writes the two rows of Jacobian times view rotation to `out` `[6]`; `camera` is by `pack_camera`."""
     slope_x = min(max(x / z, camera[16]), camera[17])
     slope_y = min(max(y / z, camera[18]), camera[19])
     for j in range(3):
@@ -84,17 +84,17 @@ def plane_from_root(affine: Any, root: Any) -> tuple[float, float, float, float]
     ry1 = affine[3] * root[1] + affine[4] * root[4] + affine[5] * root[7]
     ry2 = affine[3] * root[2] + affine[4] * root[5] + affine[5] * root[8]
     c0, c1, c2 = rx1 * ry2 - rx2 * ry1, rx2 * ry0 - rx0 * ry2, rx0 * ry1 - rx1 * ry0
-    a, b, c = rx0 * rx0 + rx1 * rx1 + rx2 * rx2, rx0 * ry0 + rx1 * ry1 + rx2 * ry2, ry0 * ry0 + ry1 * ry1 + ry2 * ry2
-    return a, b, c, c0 * c0 + c1 * c1 + c2 * c2
+    a, b = rx0 * rx0 + rx1 * rx1 + rx2 * rx2, rx0 * ry0 + rx1 * ry1 + rx2 * ry2
+    return a, b, ry0 * ry0 + ry1 * ry1 + ry2 * ry2, c0 * c0 + c1 * c1 + c2 * c2
 
 
 @inline
 def plane_from_covariance(affine: Any, cov: Any, i: int) -> tuple[float, float, float, float]:
     """Returns a, b, c and the determinant of the projected covariance; the symmetric part is used."""
-    xx, yy, zz = float(cov[i, 0, 0]), float(cov[i, 1, 1]), float(cov[i, 2, 2])
-    xy = 0.5 * (float(cov[i, 0, 1]) + float(cov[i, 1, 0]))
-    xz = 0.5 * (float(cov[i, 0, 2]) + float(cov[i, 2, 0]))
-    yz = 0.5 * (float(cov[i, 1, 2]) + float(cov[i, 2, 1]))
+    xx, yy, zz = np.float64(cov[i, 0, 0]), np.float64(cov[i, 1, 1]), np.float64(cov[i, 2, 2])
+    xy = 0.5 * (np.float64(cov[i, 0, 1]) + np.float64(cov[i, 1, 0]))
+    xz = 0.5 * (np.float64(cov[i, 0, 2]) + np.float64(cov[i, 2, 0]))
+    yz = 0.5 * (np.float64(cov[i, 1, 2]) + np.float64(cov[i, 2, 1]))
     p0, p1, p2, q0, q1, q2 = affine[0], affine[1], affine[2], affine[3], affine[4], affine[5]
     sp0, sp1, sp2 = xx * p0 + xy * p1 + xz * p2, xy * p0 + yy * p1 + yz * p2, xz * p0 + yz * p1 + zz * p2
     sq0, sq1, sq2 = xx * q0 + xy * q1 + xz * q2, xy * q0 + yy * q1 + yz * q2, xz * q0 + yz * q1 + zz * q2
@@ -121,9 +121,9 @@ def project_part(
     for begin in range(part * PART, n, parts * PART):
         for i in range(begin, min(n, begin + PART)):
             splats[i, REACH] = 0
-            wx, wy, wz = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
+            wx, wy, wz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
             z = camera[6] * wx + camera[7] * wy + camera[8] * wz + camera[11]
-            opacity = float(opacities[i])
+            opacity = np.float64(opacities[i])
             if not (z > near) or not (opacity > alpha_min):
                 continue
             x = camera[0] * wx + camera[1] * wy + camera[2] * wz + camera[9]

@@ -57,7 +57,7 @@ def factor_gradient(
 
 @inline
 def sum_pairs(pair_slots: Any, slots: Any, rank: int, out: Any) -> bool:
-    """Writes the sum of a splat's gradients over tiles to `out`; returns whether there is any (hidden: none)."""
+    """Writes the sum of a splat's gradients over tiles to `out`; returns whether it has any (hidden: no)."""
     if rank < 0:
         return False
     for k in range(GRADIENT_SIZE):
@@ -69,6 +69,14 @@ def sum_pairs(pair_slots: Any, slots: Any, rank: int, out: Any) -> bool:
             out[k] += value
             seen |= value != 0
     return seen
+
+
+@inline
+def ray_of(x: float, y: float, z: float, camera: Any) -> tuple[float, float, float, float]:
+    """Returns the unit direction from the camera centre to a point, and the inverse of their distance."""
+    dx, dy, dz = x - camera[20], y - camera[21], z - camera[22]
+    inverse = 1 / math.sqrt(dx * dx + dy * dy + dz * dz)
+    return dx * inverse, dy * inverse, dz * inverse, inverse
 
 
 @inline
@@ -91,15 +99,12 @@ def root_gradient(
             g_root[3 * j + k] = affine[j] * g_rx + affine[3 + j] * g_ry
     w, x, y, z, inverse = unit_quaternion(quats, i)
     if g_scales.shape[0] > 0:
-        g_scales[i, 0] = (
-            g_root[0] * (1 - 2 * (y * y + z * z)) + g_root[3] * 2 * (x * y + w * z) + g_root[6] * 2 * (x * z - w * y)
-        )
-        g_scales[i, 1] = (
-            g_root[1] * 2 * (x * y - w * z) + g_root[4] * (1 - 2 * (x * x + z * z)) + g_root[7] * 2 * (y * z + w * x)
-        )
-        g_scales[i, 2] = (
-            g_root[2] * 2 * (x * z + w * y) + g_root[5] * 2 * (y * z - w * x) + g_root[8] * (1 - 2 * (x * x + y * y))
-        )
+        r0, r1, r2 = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+        g_scales[i, 0] = g_root[0] * r0 + g_root[3] * r1 + g_root[6] * r2
+        r0, r1, r2 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
+        g_scales[i, 1] = g_root[1] * r0 + g_root[4] * r1 + g_root[7] * r2
+        r0, r1, r2 = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+        g_scales[i, 2] = g_root[2] * r0 + g_root[5] * r1 + g_root[8] * r2
     if g_quats.shape[0] > 0:
         for k in range(3):
             for j in range(3):
@@ -126,15 +131,16 @@ def covariance_gradient(
     for j in range(3):
         sp = sq = 0.0
         for k in range(3):
-            s = 0.5 * (float(cov[i, j, k]) + float(cov[i, k, j]))
+            s = 0.5 * (np.float64(cov[i, j, k]) + np.float64(cov[i, k, j]))
             sp += s * affine[k]
             sq += s * affine[3 + k]
         g_affine[j] = 2 * g_a * sp + g_b * sq
         g_affine[3 + j] = 2 * g_c * sq + g_b * sp
         if g_cov.shape[0] > 0:
             for k in range(3):
+                pp, qq = affine[j] * affine[k], affine[3 + j] * affine[3 + k]
                 pq = affine[j] * affine[3 + k] + affine[3 + j] * affine[k]
-                g_cov[i, j, k] = g_a * affine[j] * affine[k] + 0.5 * g_b * pq + g_c * affine[3 + j] * affine[3 + k]
+                g_cov[i, j, k] = g_a * pp + 0.5 * g_b * pq + g_c * qq
 
 
 @kernel
@@ -163,7 +169,7 @@ def project_backward_part(
         for i in range(begin, min(count, begin + PART)):
             if not sum_pairs(pair_slots, slots, ranks[i], pair):
                 continue
-            l1, m, l2 = float(splats[i, L1]), float(splats[i, M]), float(splats[i, L2])
+            l1, m, l2 = np.float64(splats[i, L1]), np.float64(splats[i, M]), np.float64(splats[i, L2])
             g_mx, g_my = l1 * pair[G_U], m * pair[G_U] + l2 * pair[G_V]
             if g_offsets.shape[0] > 0:
                 g_offsets[i, 0], g_offsets[i, 1] = g_mx, g_my
@@ -173,33 +179,33 @@ def project_backward_part(
             g_blue = np.float32(pair[G_BLUE] if degree < 0 or splats[i, BLUE] > 0 else 0.0)
             if degree < 0 and g_colors.shape[0] > 0:
                 g_colors[i, 0, 0], g_colors[i, 0, 1], g_colors[i, 0, 2] = g_red, g_green, g_blue
-            wx, wy, wz = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
+            wx, wy, wz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
             g_wx = g_wy = g_wz = 0.0
-            if degree >= 0 and (g_colors.shape[0] > 0 or wants_place):
-                dx, dy, dz = wx - camera[20], wy - camera[21], wz - camera[22]
-                inverse = 1 / math.sqrt(dx * dx + dy * dy + dz * dz)
-                dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
-                if g_colors.shape[0] > 0:
-                    fill_basis(dx, dy, dz, degree, basis)
-                    for k in range(bands):
-                        g_colors[i, k, 0] = basis[k] * g_red
-                        g_colors[i, k, 1] = basis[k] * g_green
-                        g_colors[i, k, 2] = basis[k] * g_blue
-                if wants_place and degree > 0:
-                    for k in range(bands):
-                        g_basis[k] = colors[i, k, 0] * g_red + colors[i, k, 1] * g_green + colors[i, k, 2] * g_blue
-                    gx, gy, gz = direction_gradient(dx, dy, dz, degree, g_basis)
-                    along = gx * dx + gy * dy + gz * dz
-                    g_wx, g_wy, g_wz = (gx - along * dx) * inverse, (gy - along * dy) * inverse, (gz - along * dz) * inverse
-                    if wants_camera:
-                        # the ray is mean + rotation^T translation
-                        for j in range(3):
-                            t = camera[9 + j]
-                            g_rows[3 * j] += t * g_wx
-                            g_rows[3 * j + 1] += t * g_wy
-                            g_rows[3 * j + 2] += t * g_wz
-                            g_rows[9 + j] += camera[3 * j] * g_wx + camera[3 * j + 1] * g_wy + camera[3 * j + 2] * g_wz
-            opacity = float(opacities[i])
+            if degree >= 0 and g_colors.shape[0] > 0:
+                dx, dy, dz, _ = ray_of(wx, wy, wz, camera)
+                fill_basis(dx, dy, dz, degree, basis)
+                for k in range(bands):
+                    g_colors[i, k, 0] = basis[k] * g_red
+                    g_colors[i, k, 1] = basis[k] * g_green
+                    g_colors[i, k, 2] = basis[k] * g_blue
+            if degree > 0 and wants_place:
+                dx, dy, dz, inverse = ray_of(wx, wy, wz, camera)
+                for k in range(bands):
+                    g_basis[k] = colors[i, k, 0] * g_red + colors[i, k, 1] * g_green
+                    g_basis[k] += colors[i, k, 2] * g_blue
+                gx, gy, gz = direction_gradient(dx, dy, dz, degree, g_basis)
+                along = gx * dx + gy * dy + gz * dz
+                g_wx, g_wy = (gx - along * dx) * inverse, (gy - along * dy) * inverse
+                g_wz = (gz - along * dz) * inverse
+                if wants_camera:
+                    # the ray is mean + rotation^T translation
+                    for j in range(3):
+                        r0, r1, r2, t = camera[3 * j], camera[3 * j + 1], camera[3 * j + 2], camera[9 + j]
+                        g_rows[3 * j] += t * g_wx
+                        g_rows[3 * j + 1] += t * g_wy
+                        g_rows[3 * j + 2] += t * g_wz
+                        g_rows[9 + j] += r0 * g_wx + r1 * g_wy + r2 * g_wz
+            opacity = np.float64(opacities[i])
             if not wants_shape and not antialiased:
                 if g_opacities.shape[0] > 0:
                     g_opacities[i] = pair[G_POWER] / opacity
@@ -216,10 +222,8 @@ def project_backward_part(
             det = flat + dilation * (a0 + c0) + dilation * dilation
             a, c = a0 + dilation, c0 + dilation
             g_a, g_b, g_c = factor_gradient(a, b, c, det, -pair[G_UX], -pair[G_UY], -pair[G_VY])
-            ratio, mass = 1.0, 1.0
             if antialiased:
                 ratio = flat / det
-                mass = math.sqrt(max(ratio, COMPENSATION_FLOOR))
                 if ratio > COMPENSATION_FLOOR:
                     # gradient of log opacity is G_POWER; log mass = log(flat / det) / 2
                     g_ratio = 0.5 * pair[G_POWER] / ratio

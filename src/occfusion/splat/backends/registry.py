@@ -1,6 +1,10 @@
-"""Which backend runs."""
+"""Which backend runs, and why."""
 
 from __future__ import annotations
+
+import importlib.util
+import logging
+from functools import cache
 
 import torch
 
@@ -9,10 +13,12 @@ from occfusion.splat.backends import torch_backend
 from occfusion.splat.backends.layers import Layers
 from occfusion.splat.request import Request
 
+logger = logging.getLogger(__name__)
+
 BACKENDS = ("auto", "torch", "numba", "gsplat")
 
 
-def resolve_backend(name: str, device: torch.device, dtype: torch.dtype) -> str:
+def resolve_backend(name: str, device: torch.device, dtype: torch.dtype = torch.float32) -> str:
     """Returns the backend that `name` stands for on a device: itself, or the best one for `auto`.
 
     Raises:
@@ -20,17 +26,55 @@ def resolve_backend(name: str, device: torch.device, dtype: torch.dtype) -> str:
     """
     if name not in BACKENDS:
         raise ConfigError(f"rasterizer backend {name!r} is unknown; choose one of {', '.join(BACKENDS)}")
-    if name == "gsplat":
-        raise ConfigError(f"rasterizer backend {name!r} is not available")
     if name == "auto":
-        return "numba" if device.type == "cpu" and dtype == torch.float32 else "torch"
+        return _best_backend(device.type, dtype)
+    wanted = {"numba": "cpu", "gsplat": "cuda"}.get(name)
+    if wanted is not None and (device.type != wanted or dtype != torch.float32):
+        raise ConfigError(
+            f"rasterizer backend {name!r} takes float32 on {wanted}, got {dtype} on {device};"
+            " use 'torch' or 'auto'"
+        )
+    if wanted is not None and importlib.util.find_spec(name) is None:
+        extra = "occfusion[gpu]" if name == "gsplat" else "numba"
+        raise ConfigError(f"rasterizer backend {name!r} is not installed; install {extra}, or use 'torch'")
     return name
 
 
+@cache
+def _best_backend(device: str, dtype: torch.dtype) -> str:
+    """Returns the fastest backend that is exact on a kind of device; says so in the log, once."""
+    name, reason = _choose(device, dtype)
+    logger.info("rasteriser backend %s on %s, %s: %s", name, device, dtype, reason)
+    return name
+
+
+def _choose(device: str, dtype: torch.dtype) -> tuple[str, str]:
+    if dtype != torch.float32:
+        return "torch", "the faster backends take float32 only"
+    if device == "cpu":
+        if importlib.util.find_spec("numba") is None:
+            return "torch", "numba is not installed"
+        return "numba", "the fastest on a CPU"
+    if device != "cuda":
+        return "torch", "it runs on any device"
+    if importlib.util.find_spec("gsplat") is None:
+        return "torch", "gsplat is not installed (occfusion[gpu])"
+    from occfusion.splat.backends import gsplat_backend
+
+    problem = gsplat_backend.self_test(torch.device(device))
+    if problem is not None:
+        return "torch", f"gsplat is installed but did not pass its self-test: {problem}"
+    return "gsplat", "its picture and gradients match the torch backend"
+
+
 def render_with(backend: str, request: Request) -> Layers:
-    """Returns the blended layers of a resolved backend."""
+    """Returns the layers of a resolved backend; only the backend that runs is imported."""
     if backend == "numba":
         from occfusion.splat.backends import numba_backend
 
         return numba_backend.render(request)
+    if backend == "gsplat":
+        from occfusion.splat.backends import gsplat_backend
+
+        return gsplat_backend.render(request)
     return torch_backend.render(request)

@@ -116,7 +116,7 @@ class Blend(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, means2d, factors, opacities, features, lists, crop, limits):  # type: ignore[no-untyped-def]
-        """Returns rgb `[h, w, 3]`, alpha and weighted depth `[h, w]`; `features` `[V, 5]`, others as in `Splats`."""
+        """Returns rgb `[h, w, 3]`, alpha and weighted depth `[h, w]`; `features` are `[V, 5]`."""
         shapes, padded = _with_padding(means2d, factors, opacities, features)
         stacked = features.new_empty(len(lists.tiles), CHANNELS, lists.size**2)
         for chunk in chunks(lists, crop, len(opacities), means2d.dtype):
@@ -147,7 +147,9 @@ class Blend(torch.autograd.Function):
         return shape[:, :2], shape[:, 2:5], shape[:, 5] / opacities, feature, None, None, None
 
 
-def _with_padding(means2d: Tensor, factors: Tensor, opacities: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
+def _with_padding(
+    means2d: Tensor, factors: Tensor, opacities: Tensor, features: Tensor
+) -> tuple[Tensor, Tensor]:
     """Returns `[V + 1, 6]` shapes and `[V + 1, 5]` features, the last row a splat of opacity zero."""
     shapes = torch.cat([means2d, factors, opacities.log()[:, None]], dim=1)
     nothing = shapes.new_tensor([[0, 0, 0, 0, 0, float("-inf")]])
@@ -188,7 +190,7 @@ def rows_of(table: Tensor, index: Tensor) -> Tensor:
 
 
 def _pixel_sums(size: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Returns matrices that sum a tile's pixels: row by row `[S*S, S]`, and times (1, column, row) `[S*S, 3]`."""
+    """Returns matrices that sum a tile's pixels: by row `[S*S, S]`, and times (1, column, row) `[S*S, 3]`."""
     position = torch.arange(size, dtype=dtype, device=device)
     columns, rows = position.repeat(size), position.repeat_interleave(size)
     return (rows[:, None] == position).to(dtype), torch.stack([torch.ones_like(rows), columns, rows], dim=1)

@@ -1,0 +1,198 @@
+"""The measurements: each gives rows of one table, whose empty fields were not measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import torch
+
+from occfusion.bench.contestants import Contestant, backend
+from occfusion.bench.errors import Errors, compare, errors_of
+from occfusion.bench.memory import extra_memory_mb
+from occfusion.bench.parts import step_parts
+from occfusion.bench.plan import KNOBS, NO_CUTS
+from occfusion.bench.reference import dense_reference
+from occfusion.bench.scenes import BenchScene, SceneSize, make_scene
+from occfusion.bench.timing import Timing, interleaved
+from occfusion.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class BenchRow:
+    """One line of `bench.csv`.
+
+    Attributes:
+        part: which measurement.
+        case: which point of it, for instance the knob and its setting.
+        contestant: who.
+        gaussians: scene: how many.
+        size: scene: side of the picture, pixels.
+        footprint: scene: factor on sizes.
+        sh_degree: scene: harmonics degree.
+        threads: torch's threads.
+        forward_cpu_ms: least processor time of a forward pass.
+        cpu_ms: least processor time of forward and backward (or of the part).
+        cpu_median_ms: its median.
+        wall_ms: least wall time of forward and backward.
+        first_ms: wall time of the first call, compilation or its cache included.
+        rounds: repetitions.
+        extra_mb: peak memory above the level before, forward and backward.
+        speed_up: processor time of the `torch` backend over this one's, both measured in turn.
+        error_rgb: largest absolute error of a colour against the reference.
+        error_alpha: of alpha.
+        error_depth: of depth, metres.
+        flips: share of pixels whose colour is off by more than 1e-5.
+        error_gradient: largest relative error (2-norm) among the inputs' gradients.
+    """
+
+    part: str
+    case: str
+    contestant: str
+    gaussians: int | None = None
+    size: int | None = None
+    footprint: float | None = None
+    sh_degree: int | None = None
+    threads: int | None = None
+    forward_cpu_ms: float | None = None
+    cpu_ms: float | None = None
+    cpu_median_ms: float | None = None
+    wall_ms: float | None = None
+    first_ms: float | None = None
+    rounds: int | None = None
+    extra_mb: float | None = None
+    speed_up: float | None = None
+    error_rgb: float | None = None
+    error_alpha: float | None = None
+    error_depth: float | None = None
+    flips: float | None = None
+    error_gradient: float | None = None
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What all measurements share: device, seed, and wall seconds and rounds for each timed call."""
+
+    device: torch.device
+    seed: int
+    seconds: float
+    least_rounds: int = 3
+
+
+def race(
+    part: str, sizes: Sequence[SceneSize], contestants: Sequence[Contestant], conditions: Conditions
+) -> Iterator[BenchRow]:
+    """Yields time and memory of every contestant on every scene, measured in turn in one process."""
+    for size in sizes:
+        scene = make_scene(size, conditions.seed).to(conditions.device)
+        timings = interleaved(_passes(scene, contestants), conditions.seconds, conditions.least_rounds)
+        base = timings.get("torch backward")
+        for contestant in contestants:
+            forward, both = timings[f"{contestant.name} forward"], timings[f"{contestant.name} backward"]
+            memory = extra_memory_mb(partial(contestant.gradients, scene), conditions.device)
+            row = _row(part, _describe(size), contestant.name, size, forward, both)
+            yield replace(
+                row, extra_mb=memory, speed_up=None if base is None else base.cpu_min / both.cpu_min
+            )
+
+
+def _passes(scene: BenchScene, contestants: Sequence[Contestant]) -> dict[str, Callable[[], object]]:
+    calls: dict[str, Callable[[], object]] = {}
+    for contestant in contestants:
+        calls[f"{contestant.name} forward"] = partial(contestant.forward, scene)
+        calls[f"{contestant.name} backward"] = partial(contestant.gradients, scene)
+    return calls
+
+
+def accuracy(
+    sizes: Sequence[SceneSize], contestants: Sequence[Contestant], conditions: Conditions
+) -> Iterator[BenchRow]:
+    """Yields the errors of every contestant against the dense float64 reference."""
+    for size in sizes:
+        scene = make_scene(size, conditions.seed)
+        reference = dense_reference(scene)
+        for contestant in contestants:
+            errors = errors_of(contestant, scene.to(conditions.device), reference)
+            yield _with_errors(_row("accuracy", _describe(size), contestant.name, size), errors)
+
+
+def _accepts(contestant: Contestant, scene: BenchScene) -> bool:
+    """Returns whether a contestant works with its settings; not all backends take all cut-offs."""
+    try:
+        contestant.forward(scene)
+    except ConfigError:
+        return False
+    return True
+
+
+def precision(size: SceneSize, names: Sequence[str], conditions: Conditions) -> Iterator[BenchRow]:
+    """Yields time and error of every backend for every setting of the cut-offs that it takes.
+
+    The truth blends every splat, however faint.
+    """
+    scene = make_scene(size, conditions.seed).without_depth()
+    truth = dense_reference(scene, NO_CUTS)
+    scene = scene.to(conditions.device)
+    for knob, settings in KNOBS.items():
+        entrants = {
+            (f"{knob} {setting}", dtype, name): backend(name, dtype, limits)
+            for name in names
+            for dtype in ((torch.float32, torch.float64) if name == "torch" else (torch.float32,))
+            for setting, limits in settings
+        }
+        entrants = {key: entrant for key, entrant in entrants.items() if _accepts(entrant, scene)}
+        calls: dict[str, Callable[[], object]] = {
+            "/".join(map(str, key)): partial(c.gradients, scene) for key, c in entrants.items()
+        }
+        timings = interleaved(calls, conditions.seconds / 4, conditions.least_rounds)
+        for key, contestant in entrants.items():
+            errors = compare(*contestant.gradients(scene), truth)
+            both = timings["/".join(map(str, key))]
+            row = _with_errors(_row("precision", key[0], contestant.name, size, None, both), errors)
+            yield replace(row, error_depth=None, flips=None)
+
+
+def step(name: str, gaussians: int, size: int, conditions: Conditions) -> Iterator[BenchRow]:
+    """Yields the time of every part of a training step; on the CPU."""
+    calls = step_parts(name, gaussians, size, conditions.seed)
+    for case, timing in interleaved(calls, conditions.seconds, conditions.least_rounds).items():
+        yield replace(_row("step", case, name, None, None, timing), gaussians=gaussians, size=size)
+
+
+def _describe(size: SceneSize) -> str:
+    extra = "" if size.footprint == 1 else f", footprint x{size.footprint:g}"
+    return f"{size.gaussians} Gaussians, {size.size} px, SH {size.sh_degree}{extra}"
+
+
+def _row(
+    part: str,
+    case: str,
+    contestant: str,
+    size: SceneSize | None,
+    forward: Timing | None = None,
+    both: Timing | None = None,
+) -> BenchRow:
+    row = BenchRow(part, case, contestant, threads=torch.get_num_threads())
+    if size is not None:
+        row = replace(
+            row, gaussians=size.gaussians, size=size.size, footprint=size.footprint, sh_degree=size.sh_degree
+        )
+    if forward is not None:
+        row = replace(row, forward_cpu_ms=forward.cpu_min, first_ms=forward.first)
+    if both is not None:
+        row = replace(
+            row, cpu_ms=both.cpu_min, cpu_median_ms=both.cpu_median, wall_ms=both.wall_min, rounds=both.rounds
+        )
+    return row
+
+
+def _with_errors(row: BenchRow, errors: Errors) -> BenchRow:
+    return replace(
+        row,
+        error_rgb=errors.rgb,
+        error_alpha=errors.alpha,
+        error_depth=errors.depth,
+        flips=errors.flips,
+        error_gradient=errors.worst_gradient,
+    )

@@ -1,0 +1,105 @@
+"""What a training step consists of: each part alone, forward and backward, at the sizes of a usual run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from occfusion import losses
+from occfusion.bench.scenes import SceneSize, make_scene
+from occfusion.human import Avatar, embedded_body
+from occfusion.metrics import padded_box
+from occfusion.perceptual import load_perceptual
+from occfusion.splat import rasterize
+from occfusion.types import Box
+
+PERCEPTUAL_CROP = 128
+"""Pixels of the window that the perceptual term sees in a training step."""
+PADDING = 8
+"""Pixels around the person in a training step's crop."""
+
+
+def step_parts(backend: str, gaussians: int, size: int, seed: int) -> dict[str, Callable[[], object]]:
+    """Returns the parts of a training step as calls without arguments, by name.
+
+    Args:
+        backend: rasteriser backend.
+        gaussians: of the rasteriser's scene; the avatar's parts have one for each vertex of the embedded
+            body.
+        size: side of the picture in pixels; losses see the person's padded box.
+        seed: of the scene.
+    """
+    scene = make_scene(SceneSize(gaussians, size), seed)
+    leaves = scene.leaves()
+    with torch.no_grad():
+        out = rasterize(**scene.arguments(leaves), backend=backend)
+    box = padded_box(out.alpha > 0.5, PADDING)
+    assert box is not None
+    x, y, w, h = box
+    picture = out.rgb[y : y + h, x : x + w].clamp(0, 1).contiguous()
+    mask = (out.alpha > 0.5)[y : y + h, x : x + w].contiguous()
+    target = (
+        picture + 0.1 * torch.randn(picture.shape, generator=torch.Generator().manual_seed(seed))
+    ).clamp(0, 1)
+
+    def render() -> None:
+        given = scene.leaves()
+        result = rasterize(**scene.arguments(given), backend=backend, crop=box)
+        (result.rgb.sum() + result.alpha.sum()).backward()
+
+    def colours_and_mask() -> None:
+        moving = picture.clone().requires_grad_()
+        (losses.l1(moving, target, mask) + losses.l2(moving[..., 0], mask.to(moving.dtype))).backward()
+
+    def structure() -> None:
+        losses.ssim_loss(picture.clone().requires_grad_(), target, mask).backward()
+
+    return {
+        **_avatar_parts(),
+        f"rasteriser ({backend}), person's crop": render,
+        f"L1 and mask L2, {w} x {h} px": colours_and_mask,
+        f"SSIM, {w} x {h} px": structure,
+        **_perceptual_parts(picture, target, (x, y, w, h)),
+    }
+
+
+def _avatar_parts() -> dict[str, Callable[[], object]]:
+    body = embedded_body()
+    avatar = Avatar(body, sh_degree=3, skinning_every=2)
+    avatar.train()
+    pose, centre = body.da_pose(), torch.tensor([0.0, 0.0, 3.0])
+    rates = dict.fromkeys(("means", "sh0", "sh_rest", "opacity", "scales", "quats", "pose", "skinning"), 1e-6)
+    adam = torch.optim.Adam(avatar.parameter_groups(rates), eps=1e-15)
+
+    def deform(turn: int) -> None:
+        avatar.prepare(turn)
+        cloud = avatar(pose, centre)
+        (cloud.means.sum() + cloud.covariances.sum() + cloud.colors.sum() + cloud.opacities.sum()).backward()
+
+    deform(0)
+    count = avatar.gaussians.num_gaussians
+    return {
+        f"avatar with its skinning network, {count} Gaussians": lambda: deform(0),
+        f"avatar with kept skinning, {count} Gaussians": lambda: deform(1),
+        f"Adam, {sum(p.numel() for p in avatar.parameters())} parameters": lambda: adam.step(),
+    }
+
+
+def _perceptual_parts(picture: Tensor, target: Tensor, box: Box) -> dict[str, Callable[[], object]]:
+    metric = load_perceptual("stlpips")
+    side = min(PERCEPTUAL_CROP, *box[2:])
+    window = (slice(0, side), slice(0, side))
+    kept = metric.features(target[window])
+
+    def both() -> None:
+        metric(picture[window].clone().requires_grad_(), target[window]).backward()
+
+    def with_kept_target() -> None:
+        metric.distance(picture[window].clone().requires_grad_(), kept).backward()
+
+    return {
+        f"{metric.name}, {side} px": both,
+        f"{metric.name}, {side} px, target's features kept": with_kept_target,
+    }
