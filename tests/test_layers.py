@@ -54,7 +54,7 @@ AT_TOP_LEVEL_ONLY_IN = {
 # libraries that only a few parts may touch at all
 ANYWHERE_ONLY_IN = {
     "hydra": {"cli", "app.py", "config.py", "compose.py"},
-    "omegaconf": {"cli", "app.py", "config.py", "compose.py", "runs.py"},
+    "omegaconf": {"cli", "app.py", "config.py", "compose.py", "runs.py", "runfolder.py"},
     "lightning": {"data/module.py", "stages", "app.py", "cli", "config.py"},
     "stlpips_pytorch": set(),
     "torchvision": set(),

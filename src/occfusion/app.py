@@ -23,7 +23,6 @@ from occfusion.human.densify import Densifier
 from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.render import render_frame
 from occfusion.report import write_report
-from occfusion.tables import print_summary
 from occfusion.runfolder import claim_run_folder
 from occfusion.splat import resolve_backend
 from occfusion.stages.checkpointing import Checkpointing, resumable
@@ -31,6 +30,7 @@ from occfusion.stages.curve import ErrorCurve
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.optim import OptimStage
 from occfusion.stages.progress import ProgressLine
+from occfusion.tables import print_summary
 from occfusion.types import Frame, Rendering
 
 
@@ -120,17 +120,17 @@ def _run_stage(run_: Run, name: str) -> None:
         seed=settings.seed,
     )
     guard = SignalGuard()
-    callbacks: list[L.Callback] = [
-        guard,
-        Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every),
-    ]
+    callbacks: list[L.Callback] = [guard]
+    if not settings.trainer.fast_dev_run:
+        callbacks.append(Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every))
     if settings.evaluation.curve:
         callbacks.append(_curve(run_))
     if settings.trainer.enable_progress_bar:
         callbacks.append(ProgressLine())
     trainer = _trainer(settings, settings.optim.steps, callbacks)
     checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
-    trainer.fit(stage, datamodule=run_.data, ckpt_path=checkpoint, weights_only=True)
+    with guard:
+        trainer.fit(stage, datamodule=run_.data, ckpt_path=checkpoint, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(folder / "last.ckpt"))
     _hand_over(run_, folder, stage.clock.seconds, trainer.global_step)

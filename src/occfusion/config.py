@@ -77,6 +77,7 @@ class EvaluationSettings:
     training_views: bool = True
     training_stride: int = 5
     perceptual: bool = True
+    perceptual_every: int = 6
     pictures: bool = True
     curve: bool = True
     curve_images: int = 4
@@ -189,6 +190,7 @@ def _check_ranges(settings: Settings) -> None:
     if trainer.max_steps is not None:
         _check_range("trainer.max_steps", trainer.max_steps, 1, 10_000_000)
     _check_range("evaluation.training_stride", evaluation.training_stride, 1, 10_000)
+    _check_range("evaluation.perceptual_every", evaluation.perceptual_every, 1, 10_000)
     _check_range("evaluation.curve_images", evaluation.curve_images, 1, 1000)
     _check_range("evaluation.curve_first_second", evaluation.curve_first_second, 0.01, 1e6)
 

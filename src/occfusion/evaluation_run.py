@@ -39,7 +39,8 @@ def evaluate_run(
     rows: list[ImageRow] = []
     images = 0
     if evaluation.held_out:
-        rows += evaluate_frames(render, islice(data.test_dataloader(), limit), HELD_OUT_REGIONS, perceptual)
+        held_out = islice(data.test_dataloader(), limit)
+        rows += evaluate_frames(render, held_out, HELD_OUT_REGIONS, perceptual, evaluation.perceptual_every)
         images = len({(row.camera, row.frame) for row in rows})
     if evaluation.training_views:
         views = islice(_training_views(data, evaluation.training_stride), limit)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
+from omegaconf import OmegaConf
 
 import occfusion
 from occfusion.config import Settings, settings_hash
@@ -69,7 +69,7 @@ def _is_free_or_same(folder: Path, identity: dict[str, str]) -> bool:
 def _prepare(folder: Path, settings: Settings, identity: dict[str, str]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_bytes(folder / "config.yaml", yaml.safe_dump(asdict(settings), sort_keys=False).encode())
+        write_bytes(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(asdict(settings))).encode())
         write_json(folder / "environment.json", {"identity": identity, **describe_environment()})
     except OSError as error:
         raise ConfigError(f"output_dir={folder} cannot be written: {error.strerror}") from error

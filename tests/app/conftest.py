@@ -18,7 +18,9 @@ SCENE = "001-clean"
 def scene_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("scenes")
     spec = SceneSpec.parse(SCENE)
-    write_scene(root, type(spec)(**{**vars(spec), "image_size": 96, "frames": 10, "cameras": 3}), progress=False)
+    write_scene(
+        root, type(spec)(**{**vars(spec), "image_size": 96, "frames": 10, "cameras": 3}), progress=False
+    )
     return root
 
 

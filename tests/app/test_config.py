@@ -69,7 +69,7 @@ def test_nothing_to_train_is_refused() -> None:
 
 @pytest.mark.parametrize("override", ["variant=B", "variant=E", "stage=refine", "stage=init", "prior=sd15"])
 def test_what_does_not_exist_yet_is_refused_plainly(override: str) -> None:
-    with pytest.raises(ConfigError, match="does not (exist|have)|not have yet"):
+    with pytest.raises(ConfigError, match=r"does not (exist|have)|not have yet"):
         settings_of(override)
 
 

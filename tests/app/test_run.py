@@ -111,7 +111,9 @@ def test_same_seed_same_avatar_other_seed_another(train: Train) -> None:
     assert not torch.equal(parameters(a)["gaussians.means"], parameters(c)["gaussians.means"])
 
 
-def test_non_finite_loss_stops_and_keeps_the_last_good_state(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_non_finite_loss_stops_and_keeps_the_last_good_state(
+    train: Train, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from occfusion import losses
     from occfusion.errors import NumericsError
 

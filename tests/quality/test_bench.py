@@ -10,6 +10,7 @@ import torch
 from occfusion.__main__ import main
 from occfusion.bench.contestants import Contestant, available_backends, backend
 from occfusion.bench.errors import errors_of
+from occfusion.bench.measure import Conditions, accuracy
 from occfusion.bench.memory import extra_memory_mb
 from occfusion.bench.plan import PARTS
 from occfusion.bench.reference import dense_reference
@@ -151,3 +152,16 @@ def test_bad_arguments_end_with_one_line(arguments, message, capsys, tmp_path):
     assert main(["bench", "--quick", "--output", str(tmp_path / "out"), *arguments]) == 1
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_who_gives_no_depth_is_not_blamed_for_its_gradient():
+    honest = backend("torch", torch.float64)
+
+    def render(scene, inputs):
+        return *honest.render(scene, inputs)[:2], None
+
+    flat = Contestant("flat", render, torch.float64, has_depth=False)
+    rows = list(accuracy([SMALL], [honest, flat], Conditions(CPU, seed=0, seconds=0.0)))
+    assert [row.contestant for row in rows] == ["torch float64", "flat"]
+    assert all(row.error_gradient < 1e-12 for row in rows)
+    assert rows[1].error_depth is None

@@ -60,7 +60,9 @@ def make_scene(
     tensors = {
         "means": spread * normal(n, 3),
         "opacities": torch.rand(n, generator=generator, dtype=torch.float64) * 0.98 + 0.01,
-        "colors": torch.rand(n, 3, generator=generator, dtype=torch.float64) if degree is None else 0.3 * normal(n, 16, 3),
+        "colors": torch.rand(n, 3, generator=generator, dtype=torch.float64)
+        if degree is None
+        else 0.3 * normal(n, 16, 3),
         "viewmat": viewmat,
         "screen_offsets": torch.zeros(n, 2, dtype=torch.float64),
     }
@@ -71,7 +73,9 @@ def make_scene(
         tensors |= {"quats": quats, "scales": scales}
     if background:
         tensors["background"] = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
-    K = torch.tensor([[width * 1.1, 0, width * 0.45], [0, width * 1.2, height * 0.53], [0, 0, 1]], dtype=torch.float64)
+    K = torch.tensor(
+        [[width * 1.1, 0, width * 0.45], [0, width * 1.2, height * 0.53], [0, 0, 1]], dtype=torch.float64
+    )
     return Scene(tensors, K, width, height, {"sh_degree": degree, "antialiased": antialiased}).to(dtype)
 
 
@@ -98,7 +102,9 @@ def results(scene: Scene, backend: str, **options: Any) -> tuple[dict[str, Tenso
     return layers, gradients(scene, layers, picture_weights(scene))
 
 
-def assert_same(actual: Tensor, expected: Tensor, tolerance: float, name: str = "", floor: float = 1e-6) -> None:
+def assert_same(
+    actual: Tensor, expected: Tensor, tolerance: float, name: str = "", floor: float = 1e-6
+) -> None:
     """Finite first; then relative L2, direction, and the magnitude of every row.
 
     A row whose gradient is silently zero or doubled hides in a norm; rows below `floor` of the
@@ -111,14 +117,18 @@ def assert_same(actual: Tensor, expected: Tensor, tolerance: float, name: str = 
     if scale == 0:
         assert float(a.abs().max()) == 0 if a.numel() else True, f"{name} should be zero"
         return
-    assert float((a - e).norm()) <= tolerance * scale, f"{name}: relative error {float((a - e).norm()) / scale:.2e}"
+    assert float((a - e).norm()) <= tolerance * scale, (
+        f"{name}: relative error {float((a - e).norm()) / scale:.2e}"
+    )
     assert float((a * e).sum()) >= (1 - tolerance) * float(a.norm()) * scale, f"{name}: direction"
     if a.ndim > 1:
         rows_a, rows_e = a.flatten(1).norm(dim=1), e.flatten(1).norm(dim=1)
         judged = rows_e > floor * rows_e.max()
         ratio = rows_a[judged] / rows_e[judged]
         slack = tolerance + 10 * tolerance * rows_e.max() / rows_e[judged]
-        assert bool(((ratio - 1).abs() <= slack).all()), f"{name}: a row is {float(ratio.min()):.3f} to {float(ratio.max()):.3f} of what it should be"
+        assert bool(((ratio - 1).abs() <= slack).all()), (
+            f"{name}: a row is {float(ratio.min()):.3f} to {float(ratio.max()):.3f} of what it should be"
+        )
 
 
 def assert_all_same(actual: tuple[dict, dict], expected: tuple[dict, dict], tolerance: float) -> None:

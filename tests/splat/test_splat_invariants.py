@@ -70,7 +70,9 @@ def test_splitting_an_opacity_in_two(backend: str, dtype: torch.dtype, tolerance
     K[0, 2], K[1, 2] = 8.5, 8.5  # the centre falls on a pixel centre
     for s in (scene, twice):
         s.K, s.tensors["viewmat"] = K, viewmat
-    assert scene.render(backend).alpha[8, 8].item() == pytest.approx(twice.render(backend).alpha[8, 8].item(), rel=1e-6)
+    assert scene.render(backend).alpha[8, 8].item() == pytest.approx(
+        twice.render(backend).alpha[8, 8].item(), rel=1e-6
+    )
     assert scene.render(backend).alpha[8, 8].item() == pytest.approx(0.8, rel=1e-6)
 
 
@@ -98,7 +100,9 @@ def test_invisible_gaussians_change_nothing(backend: str, dtype: torch.dtype, to
 
 
 @backends
-def test_background_is_linear_in_what_is_not_covered(backend: str, dtype: torch.dtype, tolerance: float) -> None:
+def test_background_is_linear_in_what_is_not_covered(
+    backend: str, dtype: torch.dtype, tolerance: float
+) -> None:
     scene = make_scene(dtype=dtype, background=False)
     color = torch.tensor([0.3, 0.7, 0.1], dtype=dtype)
     black, tinted = scene.render(backend), scene.render(backend, background=color)
@@ -108,7 +112,9 @@ def test_background_is_linear_in_what_is_not_covered(backend: str, dtype: torch.
 
 
 @backends
-@pytest.mark.parametrize("crop", [(0, 0, 40, 30), (7, 3, 1, 1), (5, 9, 20, 17), (33, 0, 7, 30), (0, 29, 40, 1)])
+@pytest.mark.parametrize(
+    "crop", [(0, 0, 40, 30), (7, 3, 1, 1), (5, 9, 20, 17), (33, 0, 7, 30), (0, 29, 40, 1)]
+)
 def test_crop_is_the_slice(backend: str, dtype: torch.dtype, tolerance: float, crop: tuple[int, ...]) -> None:
     scene = make_scene(dtype=dtype)
     x, y, w, h = crop
@@ -135,7 +141,9 @@ def test_tile_size_changes_nothing(tile: int) -> None:
 @backends
 def test_screen_offsets_move_the_picture(backend: str, dtype: torch.dtype, tolerance: float) -> None:
     scene = make_scene(dtype=dtype, background=False)
-    shifted = scene.render(backend, screen_offsets=torch.tensor([[3.0, -2.0]], dtype=dtype).expand(60, 2).contiguous())
+    shifted = scene.render(
+        backend, screen_offsets=torch.tensor([[3.0, -2.0]], dtype=dtype).expand(60, 2).contiguous()
+    )
     straight = scene.render(backend)
     assert_same(shifted.rgb[:-2, 3:], straight.rgb[2:, :-3], 10 * tolerance)
 

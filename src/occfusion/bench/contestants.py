@@ -28,11 +28,13 @@ class Contestant:
         name: as in tables.
         render: gives the pictures of a scene from the given inputs.
         dtype: the type that its inputs are given in.
+        has_depth: whether it gives depth.
     """
 
     name: str
     render: Callable[[BenchScene, dict[str, Tensor]], Pictures]
     dtype: torch.dtype = torch.float32
+    has_depth: bool = True
 
     def forward(self, scene: BenchScene) -> Pictures:
         """Returns the pictures, without gradients."""
@@ -82,7 +84,7 @@ def peers() -> list[Contestant]:
     """Returns other packages that render Gaussians on a CPU and are installed."""
     found = []
     if importlib.util.find_spec("metal_gauss") is not None:
-        found.append(Contestant("metal-gauss torch_ref", _metal_gauss))
+        found.append(Contestant("metal-gauss torch_ref", _metal_gauss, has_depth=False))
     return found
 
 

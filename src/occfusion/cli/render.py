@@ -26,8 +26,15 @@ FIELD_OF_VIEW = math.radians(45)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of the verb."""
     parser.add_argument("run", type=Path, help="a run folder")
-    parser.add_argument("--path", choices=PATHS, default="turntable", help="turntable: the first training pose, upright; canonical: the Da pose")
-    parser.add_argument("--output", type=Path, required=True, help="a .mp4 file, or a folder for numbered .png files")
+    parser.add_argument(
+        "--path",
+        choices=PATHS,
+        default="turntable",
+        help="turntable: the first training pose, upright; canonical: the Da pose",
+    )
+    parser.add_argument(
+        "--output", type=Path, required=True, help="a .mp4 file, or a folder for numbered .png files"
+    )
     parser.add_argument("--frames", type=int, default=72, help="pictures in one turn")
     parser.add_argument("--size", type=int, default=512, help="pixels of each side")
     parser.add_argument("--white", action="store_true", help="white background instead of black")

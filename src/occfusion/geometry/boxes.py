@@ -20,8 +20,10 @@ def mask_bounds(mask: Tensor) -> tuple[int, int, int, int] | None:
 
 
 def points_bounds(points: Tensor, camera: Camera) -> tuple[int, int, int, int] | None:
-    """Returns `(left, top, right, bottom)` in pixels of projected points `[N, 3]`, ends exclusive, not cut
-    to the picture; None if all lie behind the camera."""
+    """Returns `(left, top, right, bottom)` in pixels of projected points `[N, 3]`, ends exclusive.
+
+    The bounds are not cut to the picture; None if all points lie behind the camera.
+    """
     local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     local = local[local[:, 2] > NEAR]
     if local.shape[0] == 0:

@@ -44,7 +44,7 @@ class Checkpointing(L.Callback):
 
     def save(self, trainer: L.Trainer, stage: Stage) -> None:
         """Writes the checkpoint of the step just finished; saving the same step twice does nothing."""
-        if trainer.global_step == self._saved_step or trainer.fast_dev_run:
+        if trainer.global_step == self._saved_step:
             return
         with stage.clock.paused():
             self.path.parent.mkdir(parents=True, exist_ok=True)

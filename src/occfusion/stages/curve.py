@@ -52,7 +52,9 @@ class ErrorCurve(L.Callback):
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Measures the start of a fresh run, or drops what a resumed run will measure again."""
         assert isinstance(pl_module, Stage)
-        rows = [r for r in self._rows() if r["stage"] != pl_module.name or int(r["step"]) <= trainer.global_step]
+        rows = [
+            r for r in self._rows() if r["stage"] != pl_module.name or int(r["step"]) <= trainer.global_step
+        ]
         self._write(rows)
         while self._next <= pl_module.clock.seconds:
             self._next *= 2

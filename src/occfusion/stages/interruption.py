@@ -29,12 +29,21 @@ class Interrupted(OccfusionError):
 class SignalGuard(L.Callback):
     """Notes SIGINT and SIGTERM and asks the trainer to stop after the step under way.
 
-    A second signal of the same kind ends the process at once.
+    Used as a context around `Trainer.fit`, it gives the signals back as they were before, whatever the trainer
+    did to them. A second signal of the same kind ends the process at once.
     """
 
     def __init__(self) -> None:
         self.received: int | None = None
-        self._previous: dict[int, Any] = {}
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> SignalGuard:
+        self._before = {number: signal.getsignal(number) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
         if self.received == number:
@@ -43,17 +52,11 @@ class SignalGuard(L.Callback):
         self.received = number
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Takes the two signals over from Lightning, which would exit with 0 on SIGTERM."""
+        """Takes the two signals over, also from Lightning, which would exit with 0 on SIGTERM."""
         for number in SIGNALS:
-            self._previous[number] = signal.signal(number, self._note)
+            signal.signal(number, self._note)
 
     def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
         """Stops the loop when a signal has come."""
         if self.received is not None:
             trainer.should_stop = True
-
-    def teardown(self, trainer: L.Trainer, pl_module: L.LightningModule, stage: str) -> None:
-        """Gives the signals back."""
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-        self._previous.clear()

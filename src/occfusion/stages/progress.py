@@ -62,7 +62,9 @@ class ProgressLine(ProgressBar):
         """Closes the bar."""
         self._close()
 
-    def on_exception(self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException) -> None:
+    def on_exception(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, exception: BaseException
+    ) -> None:
         """Closes the bar, so that the error's text stands below it."""
         self._close()
 

@@ -32,7 +32,7 @@ class OptimSettings:
     lambda_mask: float = 2e4
     lambda_ssim: float = 1e3
     lambda_lpips: float = 1e3
-    perceptual_every: int = 4
+    perceptual_every: int = 8
     perceptual_crop: int = 128
     sh_degree: int = 1
     sh_every: int = 1000

@@ -34,6 +34,7 @@ from occfusion.splat.limits import FRUSTUM_MARGIN
 from occfusion.splat.request import Request
 
 Array = np.ndarray
+GRADIENTS = ("means", "quats", "scales", "covariances", "opacities", "colors", "offsets")
 LEAST_ALPHA_MIN = 1 / 256
 """The kernels' exponential covers alphas down to this."""
 
@@ -216,7 +217,10 @@ def _gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Arr
         inputs.means.shape, inputs.quats.shape, inputs.scales.shape, inputs.covariances.shape,
         inputs.opacities.shape, inputs.colors.shape, inputs.offsets.shape,
     ]  # fmt: skip
-    results = [torch.zeros(shape) if need else None for shape, need in zip(shapes, needed, strict=False)]
+    results: list[Tensor | None] = []
+    for name, shape, need in zip(GRADIENTS, shapes, needed, strict=False):
+        make = torch.empty if name == "colors" else torch.zeros  # colours, the largest, are written in full
+        results.append(make(shape) if need else None)
     arrays = [
         _array(result, *shape[1:]) if result is not None else np.empty((0, *shape[1:]), np.float32)
         for result, shape in zip(results, shapes, strict=True)

@@ -41,7 +41,12 @@ PART = 256
 @inline
 def unit_quaternion(quats: Any, i: int) -> tuple[float, float, float, float, float]:
     """Returns w, x, y, z of length 1 and the inverse of the length it had; 0 for no rotation."""
-    w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
+    w, x, y, z = (
+        np.float64(quats[i, 0]),
+        np.float64(quats[i, 1]),
+        np.float64(quats[i, 2]),
+        np.float64(quats[i, 3]),
+    )
     if max(abs(w), abs(x), abs(y), abs(z)) < QUATERNION_FLOOR:
         return 1.0, 0.0, 0.0, 0.0, 0.0
     inverse = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)

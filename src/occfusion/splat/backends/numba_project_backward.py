@@ -167,7 +167,12 @@ def project_backward_part(
     for begin in range(part * PART, count, parts * PART):
         g_rows[:] = 0
         for i in range(begin, min(count, begin + PART)):
-            if not sum_pairs(pair_slots, slots, ranks[i], pair):
+            seen = sum_pairs(pair_slots, slots, ranks[i], pair)
+            if g_colors.shape[0] > 0:  # the largest array comes as it was allocated
+                for k in range(max(bands, 1) if seen else 0, g_colors.shape[1]):
+                    for channel in range(3):
+                        g_colors[i, k, channel] = 0
+            if not seen:
                 continue
             l1, m, l2 = np.float64(splats[i, L1]), np.float64(splats[i, M]), np.float64(splats[i, L2])
             g_mx, g_my = l1 * pair[G_U], m * pair[G_U] + l2 * pair[G_V]

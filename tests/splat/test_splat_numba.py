@@ -1,0 +1,205 @@
+"""What the `numba` backend promises beyond the picture: agreement, determinism, leaving out, its cache."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from splat_scenes import LAYERS, Scene, assert_all_same, gradients, make_scene, picture_weights, results
+
+from occfusion.errors import ConfigError
+from occfusion.splat import Limits, resolve_backend
+from occfusion.splat.backends import numba_backend
+from occfusion.splat.backends.numba_bins import sort_by_depth
+from occfusion.splat.backends.numba_layout import DEPTH, REACH, SPLAT_SIZE
+from occfusion.splat.limits import DEFAULT_LIMITS
+
+FLIP = 2 / 255
+"""A pixel may differ by one dropped splat where rounding decides on which side of a cut-off it is."""
+
+
+def picture_differs_only_at_flips(a: torch.Tensor, b: torch.Tensor, share: float = 0.005) -> bool:
+    """Tight inside; at a cut-off a few pixels may cross, by no more than one faint splat."""
+    difference = (a - b).abs().detach()
+    scale = b.abs().max().detach() + 1e-3
+    far = difference > 2e-5 * scale
+    return (
+        bool(difference.isfinite().all())
+        and float(far.float().mean()) <= share
+        and bool((difference <= FLIP * scale + 1e-3).all())
+    )
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    n=st.integers(0, 80),
+    width=st.integers(1, 70),
+    height=st.integers(1, 40),
+    degree=st.sampled_from([None, 0, 1, 2, 3]),
+    seed=st.integers(0, 10_000),
+    size=st.sampled_from([0.003, 0.03, 0.3, 2.0]),
+    covariances=st.booleans(),
+    background=st.booleans(),
+    antialiased=st.booleans(),
+    window=st.tuples(*[st.floats(0, 1)] * 4),
+)
+def test_agrees_with_torch(window: tuple[float, ...], width: int, height: int, **case: Any) -> None:
+    scene = make_scene(width=width, height=height, dtype=torch.float32, **case)
+    x, y = int(window[0] * (width - 1)), int(window[1] * (height - 1))
+    crop = (x, y, max(1, int(window[2] * (width - x))), max(1, int(window[3] * (height - y))))
+    reference, got = scene.render("torch", crop=crop), scene.render("numba", crop=crop)
+    for name in ("rgb", "alpha"):
+        # one crossing is a large share of a tiny window
+        share = max(0.005, 1.5 / (crop[2] * crop[3]))
+        assert picture_differs_only_at_flips(getattr(got, name), getattr(reference, name), share), name
+    assert torch.allclose(got.radii, reference.radii, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+@pytest.mark.parametrize("covariances", [False, True])
+def test_gradients_agree_with_torch(seed: int, covariances: bool) -> None:
+    scene = make_scene(n=150, width=70, height=50, seed=seed, covariances=covariances, dtype=torch.float32)
+    # a splat that flips at a cut-off changes gradients by up to some 1e-3
+    assert_all_same(results(scene, "numba"), results(scene, "torch"), 2e-3)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_bitwise_the_same_for_any_number_of_threads(antialiased: bool) -> None:
+    scene = make_scene(n=700, width=150, height=90, dtype=torch.float32, antialiased=antialiased)
+    before = torch.get_num_threads()
+    try:
+        found = []
+        for threads in (1, 2, 3, 1):
+            torch.set_num_threads(threads)
+            found.append(results(scene, "numba"))
+    finally:
+        torch.set_num_threads(before)
+    for layers, grads in found[1:]:
+        assert all(torch.equal(layers[n], found[0][0][n]) for n in layers)
+        assert all(torch.equal(grads[n], found[0][1][n]) for n in grads)
+
+
+def test_backward_twice_gives_the_same() -> None:
+    """The backward pass must not consume what the forward pass kept."""
+    scene = make_scene(dtype=torch.float32)
+    rgb = scene.render("numba").rgb
+    first = torch.autograd.grad(rgb.sum(), scene.tensors["means"], retain_graph=True)[0]
+    assert torch.equal(first, torch.autograd.grad(rgb.sum(), scene.tensors["means"])[0])
+
+
+def test_inputs_are_not_written_to() -> None:
+    scene = make_scene(width=1, height=1, dtype=torch.float32)
+    before = {n: t.detach().clone() for n, t in scene.tensors.items()}
+    results(scene, "numba")
+    assert all(torch.equal(before[n], t) for n, t in scene.tensors.items())
+
+
+@pytest.mark.parametrize(
+    "wanted", ["means", "scales", "opacities", "colors", "viewmat", "background", "screen_offsets"]
+)
+@pytest.mark.parametrize("layer", LAYERS)
+def test_any_subset_of_gradients(wanted: str, layer: str) -> None:
+    """Leaving out gradients and layers nobody asked for does not change the others."""
+    scene = make_scene(dtype=torch.float32)
+    weights = picture_weights(scene)
+    everything = gradients(scene, {layer: getattr(scene.render("numba"), layer)}, weights)[wanted]
+    alone = Scene({n: t.detach() for n, t in scene.tensors.items()}, scene.K, 40, 30, scene.options)
+    alone.tensors[wanted].requires_grad_()
+    picture = getattr(alone.render("numba"), layer)
+    if not picture.requires_grad:
+        assert float(everything.abs().sum()) == 0
+        return
+    got = torch.autograd.grad(
+        (picture * weights[layer].float()).sum(), alone.tensors[wanted], allow_unused=True
+    )[0]
+    assert torch.equal(
+        everything if got is not None else torch.zeros(()), got if got is not None else torch.zeros(())
+    )
+
+
+def test_no_gradient_asked_for_none_recorded() -> None:
+    scene = make_scene(dtype=torch.float32)
+    with torch.no_grad():
+        assert not scene.render("numba").rgb.requires_grad
+    with torch.inference_mode():
+        assert bool(scene.render("numba").rgb.isfinite().all())
+
+
+def test_pixels_without_gradient_leave_splats_alone() -> None:
+    """Gradient in one corner only: splats that do not reach it get exactly zero."""
+    scene = make_scene(n=200, width=96, height=64, size=0.01, dtype=torch.float32)
+    rendering = scene.render("numba")
+    grad = torch.autograd.grad(rendering.rgb[:16, :32].sum(), scene.tensors["colors"], retain_graph=True)[0]
+    reference = scene.render("torch").rgb[:16, :32].sum()
+    expected = torch.autograd.grad(reference, scene.tensors["colors"])[0]
+    touched = expected.flatten(1).abs().sum(1) > 0
+    assert 0 < int(touched.sum()) < 200
+    assert bool((grad[~touched] == 0).all())
+    assert torch.allclose(grad, expected, rtol=1e-3, atol=1e-4 * float(expected.abs().max()))
+
+
+def test_depth_sort_is_stable_and_complete() -> None:
+    generator = np.random.default_rng(0)
+    splats = np.zeros((5000, SPLAT_SIZE), np.float32)
+    splats[:, DEPTH] = np.exp(generator.normal(size=5000) * 5).astype(np.float32).round(2) + 0.01
+    splats[:, REACH] = generator.random(5000) < 0.9
+    visible = np.flatnonzero(splats[:, REACH])
+    expected = visible[np.argsort(splats[visible, DEPTH], kind="stable")]
+    assert np.array_equal(sort_by_depth(splats), expected)
+
+
+def test_it_is_what_auto_means_on_a_cpu() -> None:
+    cpu = torch.device("cpu")
+    assert resolve_backend("auto", cpu, torch.float32) == "numba"
+    assert resolve_backend("auto", cpu, torch.float64) == "torch"
+    scene = make_scene(dtype=torch.float32)
+    assert torch.equal(scene.render("auto").rgb, scene.render("numba").rgb)
+
+
+def test_float64_is_refused() -> None:
+    with pytest.raises(ConfigError, match="takes float32"):
+        make_scene().render("numba")
+
+
+def test_other_limits() -> None:
+    scene = make_scene(dtype=torch.float32)
+    limits = Limits(alpha_max=0.9, alpha_min=0.02, stop=1e-2, dilation=0.5)
+    assert_all_same(results(scene, "numba", limits=limits), results(scene, "torch", limits=limits), 1e-4)
+    with pytest.raises(ConfigError, match="alpha_min >= 1/256"):
+        scene.render("numba", limits=Limits(alpha_min=1e-3))
+    assert DEFAULT_LIMITS.alpha_min >= numba_backend.LEAST_ALPHA_MIN
+
+
+PROGRAM = """
+import sys
+sys.path.insert(0, {tests!r})
+import torch
+from splat_scenes import make_scene
+scene = make_scene(n=5, dtype=torch.float32)
+scene.render("numba").rgb.sum().backward()
+from occfusion.splat.backends import numba_blend
+print(sum(numba_blend.blend_part.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.slow
+def test_compiled_code_is_cached_where_told(tmp_path: Path) -> None:
+    """Cold: compiled into NUMBA_CACHE_DIR; then loaded from there by another process."""
+    program = PROGRAM.format(tests=str(Path(__file__).parent))
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    hits = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+        )
+        hits.append(int(done.stdout))
+    assert hits == [0, 1]
+    assert list(tmp_path.rglob("*.nbc"))
