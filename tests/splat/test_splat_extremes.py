@@ -213,7 +213,7 @@ def test_depth_of_a_distant_and_a_near_splat(backend: str) -> None:
             scene.tensors["scales"].fill_(depth)
         rendering = scene.render(backend)
         assert float(rendering.depth[4, 4].detach()) == pytest.approx(depth, rel=1e-5)
-        assert float(rendering.depth[rendering.alpha == 0].abs().sum()) == 0
+        assert float(rendering.depth[rendering.alpha == 0].detach().abs().sum()) == 0
 
 
 BAD = {

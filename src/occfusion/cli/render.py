@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-@torch.inference_mode()
+@torch.no_grad()
 def _pictures(arguments: argparse.Namespace) -> Iterator[Image]:
     loaded = load_run(arguments.run)
     avatar, backend = loaded.avatar, resolve_backend("auto", torch.device("cpu"), torch.float32)

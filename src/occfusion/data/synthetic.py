@@ -22,6 +22,7 @@ def make_synthetic(
     *,
     image_size: int = 256,
     frames: int = 100,
+    cameras: int = 23,
     light: str = "soft",
     train_camera: int = 0,
     test_cameras: Sequence[int] | None = None,
@@ -40,6 +41,7 @@ def make_synthetic(
         body: the embedded body.
         image_size: width and height in pixels of the written pictures.
         frames: moments of the written scene.
+        cameras: of the ring around the person.
         light: `soft` or `directional`.
         train_camera: see `ZjuDataModule`, as all that follows.
         test_cameras: ...
@@ -53,7 +55,7 @@ def make_synthetic(
     Raises:
         ConfigError: a scene name, size or light that does not exist.
     """
-    spec = replace(SceneSpec.parse(scene), image_size=image_size, frames=frames, light=light)
+    spec = replace(SceneSpec.parse(scene), image_size=image_size, frames=frames, cameras=cameras, light=light)
     if fast_dev_run:
         spec = replace(spec, image_size=FAST_DEV_SIZE, frames=FAST_DEV_FRAMES, cameras=FAST_DEV_CAMERAS)
     folder = Path(root) / f"{spec.image_size}px-{spec.frames}x{spec.cameras}-{spec.light}"

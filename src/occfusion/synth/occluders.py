@@ -17,6 +17,7 @@ from occfusion.synth.studio import StudioCamera
 
 SHARES = (0.30, 0.48)  # of the person that should be hidden, over the take
 DISTANCE = (0.95, 1.3)  # metres from the middle of the studio, towards the first camera
+NARROWEST, WIDEST, WIDEST_PASSER = 0.02, 1.2, 0.6  # metres
 CROSSING = 60  # frames in which a moving thing goes across and back
 
 WOOD = (0.46, 0.31, 0.19)
@@ -158,7 +159,7 @@ class Occluder:
         Args:
             hidden_share: share of the person hidden from the first camera for a width.
         """
-        low, high = 0.02, 1.2
+        low, high = NARROWEST, WIDEST_PASSER if self.is_moving else WIDEST
         for _ in range(7):
             middle = 0.5 * (low + high)
             if hidden_share(middle) < self.wanted:

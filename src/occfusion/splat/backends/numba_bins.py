@@ -29,6 +29,7 @@ SLACK = 1e-3
 """Pixels by which a splat's reach is widened, so that rounding never loses a pixel."""
 
 RADIX_BITS = 11
+DIGIT_MASK = np.uint32((1 << RADIX_BITS) - 1)
 
 
 @kernel
@@ -38,37 +39,37 @@ def sort_by_depth(splats: Any) -> Any:
     A radix sort of the bits of the depth: positive floats are ordered like their bits, and each pass
     is stable.
     """
-    n = splats.shape[0]
-    index, other = np.empty(n, np.int32), np.empty(n, np.int32)
-    depths = np.empty(n, np.float32)
     visible = 0
-    for i in range(n):
+    for i in range(splats.shape[0]):
+        visible += splats[i, REACH] > 0
+    index, other = np.empty(visible, np.int32), np.empty(visible, np.int32)
+    depths, keys = np.empty(visible, np.float32), np.empty(visible, np.uint32)
+    bits = depths.view(np.uint32)
+    place = 0
+    for i in range(splats.shape[0]):
         if splats[i, REACH] > 0:
-            index[visible] = i
-            depths[visible] = splats[i, DEPTH]
-            visible += 1
-    keys = depths[:visible].view(np.uint32).copy()
-    index, other = index[:visible].copy(), other[:visible].copy()
-    other_keys = np.empty(visible, np.uint32)
-    mask = np.uint32((1 << RADIX_BITS) - 1)
+            index[place] = i
+            depths[place] = splats[i, DEPTH]
+            place += 1
     counts = np.empty(1 << RADIX_BITS, np.int64)
     for shift in range(0, 32, RADIX_BITS):
-        counts[:] = 0
+        for digit in range(1 << RADIX_BITS):
+            counts[digit] = 0
         for i in range(visible):
-            counts[(keys[i] >> np.uint32(shift)) & mask] += 1
+            counts[(bits[i] >> np.uint32(shift)) & DIGIT_MASK] += 1
         total = 0
-        for digit in range(counts.shape[0]):
+        for digit in range(1 << RADIX_BITS):
             count = counts[digit]
             counts[digit] = total
             total += count
         for i in range(visible):
-            digit = (keys[i] >> np.uint32(shift)) & mask
+            digit = (bits[i] >> np.uint32(shift)) & DIGIT_MASK
             place = counts[digit]
             counts[digit] += 1
             other[place] = index[i]
-            other_keys[place] = keys[i]
+            keys[place] = bits[i]
         index, other = other, index
-        keys, other_keys = other_keys, keys
+        bits, keys = keys, bits
     return index
 
 
@@ -115,10 +116,13 @@ def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) 
     """
     visible = order.shape[0]
     packed = np.empty((visible, SPLAT_SIZE), np.float32)
-    ranks = np.full(splats.shape[0], -1, np.int32)
+    ranks = np.empty(splats.shape[0], np.int32)
+    for i in range(splats.shape[0]):
+        ranks[i] = -1
     for rank in range(visible):
-        packed[rank] = splats[order[rank]]
         ranks[order[rank]] = rank
+        for k in range(SPLAT_SIZE):
+            packed[rank, k] = splats[order[rank], k]
     slots = np.zeros(visible + 1, np.int32)
     pairs = np.empty((max(1024, 4 * visible), 2), np.int32)  # tile and rank of each slot
     slot = 0
@@ -137,27 +141,29 @@ def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) 
             for column in range(first, last + 1):
                 if slot == pairs.shape[0]:
                     longer = np.empty((2 * slot, 2), np.int32)
-                    longer[:slot] = pairs
+                    for k in range(slot):
+                        longer[k, 0] = pairs[k, 0]
+                        longer[k, 1] = pairs[k, 1]
                     pairs = longer
                 pairs[slot, 0] = row * across + column
                 pairs[slot, 1] = rank
                 slot += 1
         slots[rank + 1] = slot
-    starts, entries = group_by_tile(pairs[:slot], across * down)
+    starts, entries = group_by_tile(pairs, slot, across * down)
     return packed, ranks, starts, entries, slots
 
 
 @inline
-def group_by_tile(pairs: Any, tiles: int) -> Any:
+def group_by_tile(pairs: Any, count: int, tiles: int) -> Any:
     """Returns the start of each tile's list, `[tiles + 1]`, and the lists of (rank, slot), `[pairs, 2]`."""
-    places = np.zeros(tiles + 1, np.int32)
-    for slot in range(pairs.shape[0]):
-        places[pairs[slot, 0] + 1] += 1
+    starts, places = np.zeros(tiles + 1, np.int32), np.empty(tiles + 1, np.int32)
+    for slot in range(count):
+        starts[pairs[slot, 0] + 1] += 1
     for tile in range(tiles):
-        places[tile + 1] += places[tile]
-    starts = places.copy()
-    entries = np.empty((pairs.shape[0], 2), np.int32)
-    for slot in range(pairs.shape[0]):
+        starts[tile + 1] += starts[tile]
+        places[tile] = starts[tile]
+    entries = np.empty((count, 2), np.int32)
+    for slot in range(count):
         tile = pairs[slot, 0]
         entries[places[tile], 0] = pairs[slot, 1]
         entries[places[tile], 1] = slot

@@ -27,6 +27,7 @@ from occfusion.splat.backends.numba_layout import (
     P_FAR,
     P_GREEN,
     P_RED,
+    PLANES,
     RED,
     ROW,
     ROW_LANES,
@@ -157,15 +158,17 @@ def blend_part(
                     q[P_BLUE + i] += w * b
                     q[P_FAR + i] += w * z
                     q[P_COVERED + i] += w
-        kept[number, 0] = p[THROUGH : THROUGH + TILE_LANES]
-        kept[number, 1] = p[LATEST : LATEST + TILE_LANES]
+        for i in range(TILE_LANES):
+            kept[number, 0, i] = p[THROUGH + i]
+            kept[number, 1, i] = p[LATEST + i]
         write_tile(p, background, tile_x, tile_y, rgb, alpha, depth)
 
 
 @inline
 def clear_planes(p: Any, width: float, height: float) -> None:
     """Empties the tile; lanes beyond the crop (`width` x `height` from here) count as fully covered."""
-    p[P_RED:] = ZERO
+    for i in range(P_RED, PLANES * TILE_LANES):
+        p[i] = ZERO
     for i in range(TILE_LANES):
         p[THROUGH + i] = ONE if p[COLUMN + i] < width and p[ROW + i] < height else ZERO
         p[LATEST + i] = -ONE

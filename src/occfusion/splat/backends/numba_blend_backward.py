@@ -32,6 +32,7 @@ from occfusion.splat.backends.numba_layout import (
     G_UY,
     G_V,
     G_VY,
+    GRADIENT_SIZE,
     GREEN,
     HALF_HEIGHT,
     L1,
@@ -45,6 +46,7 @@ from occfusion.splat.backends.numba_layout import (
     P_FAR,
     P_GREEN,
     P_RED,
+    PLANES,
     RED,
     ROW,
     ROW_LANES,
@@ -75,14 +77,16 @@ def blend_backward_part(
         tile = tiles[number]
         tile_x, tile_y = tile % grid[2] * TILE_WIDTH, tile // grid[2] * TILE_HEIGHT
         left, top = np.float32(grid[0] + tile_x), np.float32(grid[1] + tile_y)
-        p[THROUGH : THROUGH + TILE_LANES] = kept[number, 0]
-        p[LATEST : LATEST + TILE_LANES] = kept[number, 1]
+        for i in range(TILE_LANES):
+            p[THROUGH + i] = kept[number, 0, i]
+            p[LATEST + i] = kept[number, 1, i]
         load_gradients(grad_rgb, grad_alpha, grad_depth, alpha, depth, background, tile_x, tile_y, p)
         final_place = last_needed(p, block_last)
         begin, end = starts[tile], starts[tile + 1]
         for place in range(end - 1, begin - 1, -1):
             slot = slots[entries[place, 1]]
-            slot[:] = ZERO
+            for k in range(GRADIENT_SIZE):
+                slot[k] = ZERO
             rank = np.float32(place - begin)
             if rank > final_place:
                 continue
@@ -146,7 +150,8 @@ def load_gradients(
     alpha hides the background.
     """
     height, width = alpha.shape
-    p[P_RED:] = ZERO
+    for i in range(P_RED, PLANES * TILE_LANES):
+        p[i] = ZERO
     for y in range(min(TILE_HEIGHT, height - tile_y)):
         for x in range(min(TILE_WIDTH, width - tile_x)):
             i = lane_of(x, y)

@@ -165,7 +165,8 @@ def project_backward_part(
     bands = (degree + 1) ** 2
     count = means.shape[0]
     for begin in range(part * PART, count, parts * PART):
-        g_rows[:] = 0
+        for k in range(12):
+            g_rows[k] = 0.0
         for i in range(begin, min(count, begin + PART)):
             seen = sum_pairs(pair_slots, slots, ranks[i], pair)
             if g_colors.shape[0] > 0:  # the largest array comes as it was allocated
@@ -281,4 +282,5 @@ def project_backward_part(
                 g_means[i, 1] = g_wy + camera[1] * g_x + camera[4] * g_y + camera[7] * g_z
                 g_means[i, 2] = g_wz + camera[2] * g_x + camera[5] * g_y + camera[8] * g_z
         if wants_camera:
-            g_camera[begin // PART] = g_rows
+            for k in range(12):
+                g_camera[begin // PART, k] = g_rows[k]
