@@ -16,7 +16,13 @@ LIGHT = ["optim.lambda_lpips=0", "evaluation.perceptual=false", "evaluation.curv
 
 def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, *arguments], cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, timeout=250, check=False
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=250,
+        check=False,
     )
 
 
@@ -37,7 +43,9 @@ def test_train_with_all_defaults_on_a_tiny_scene(tmp_path: Path) -> None:
         ("dataset=zju", "body.path"),
     ],
 )
-def test_a_mistake_is_one_plain_message_and_leaves_nothing(tmp_path: Path, override: str, message: str) -> None:
+def test_a_mistake_is_one_plain_message_and_leaves_nothing(
+    tmp_path: Path, override: str, message: str
+) -> None:
     done = run(str(ROOT / "train.py"), *override.split(), cwd=tmp_path)
     assert done.returncode != 0
     assert message in done.stderr + done.stdout
@@ -47,7 +55,9 @@ def test_a_mistake_is_one_plain_message_and_leaves_nothing(tmp_path: Path, overr
 
 
 def test_synth_then_zju_then_render(tmp_path: Path) -> None:
-    done = run("-m", "occfusion", "synth", "scenes", "--size", "96", "--frames", "4", "--cameras", "3", cwd=tmp_path)
+    done = run(
+        "-m", "occfusion", "synth", "scenes", "--size", "96", "--frames", "4", "--cameras", "3", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     scene = tmp_path / "scenes" / "001-clean"
     assert (scene / "annots.npy").is_file()
@@ -58,7 +68,8 @@ def test_synth_then_zju_then_render(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "runs" / "zju" / "001-clean" / "A"
     assert (folder / "metrics.json").is_file()
-    done = run("-m", "occfusion", "render", str(folder), "--frames", "2", "--size", "64", "--output", "o.mp4", cwd=tmp_path)
+    options = ["--frames", "2", "--size", "64", "--output", "o.mp4"]
+    done = run("-m", "occfusion", "render", str(folder), *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "o.mp4").stat().st_size > 500
 
@@ -70,7 +81,9 @@ def test_sigterm_saves_exits_with_143_and_the_same_command_goes_on(tmp_path: Pat
         sys.executable, str(ROOT / "train.py"), "dataset=zju", "dataset.root=scenes", "dataset.scene=001-clean",
         "body.path=scenes/001-clean/body.npz", *LIGHT, "output_dir=out", "optim.steps=100000",
     ]  # fmt: skip
-    with subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True
+    ) as process:
         deadline = time.monotonic() + 200
         while not (tmp_path / "out/optim/last.ckpt").exists() and time.monotonic() < deadline:
             time.sleep(0.2)
