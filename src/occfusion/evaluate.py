@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -13,7 +11,7 @@ import torch
 from torch import Tensor
 
 from occfusion.errors import ConfigError
-from occfusion.files.atomic import write_bytes
+from occfusion.files.table import write_table
 from occfusion.metrics import OCCUPIED, PSNR_CAP, mask_iou, padded_box, psnr, ssim, ssim_over_black
 from occfusion.perceptual import PerceptualMetric
 from occfusion.types import Box, Frame, Rendering
@@ -196,9 +194,4 @@ def _mean(rows: list[ImageRow]) -> dict[str, float | int | None]:
 
 def write_per_image_csv(path: Path | str, rows: Iterable[ImageRow]) -> None:
     """Writes one line for each row; an empty field is a figure that cannot be computed."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, [field.name for field in fields(ImageRow)], lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
-    write_bytes(path, text.getvalue().encode())
+    write_table(path, [field.name for field in fields(ImageRow)], (asdict(row) for row in rows))

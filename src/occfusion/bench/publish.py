@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 from occfusion.bench.measure import BenchRow
-from occfusion.files.atomic import write_bytes
+from occfusion.files.table import write_table
 from occfusion.report import markdown_table
 
 TITLES = {
@@ -34,12 +32,7 @@ _HEADINGS = {
 
 def write_csv(path: Path, rows: Iterable[BenchRow]) -> None:
     """Writes all rows; an empty field was not measured."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, [field.name for field in fields(BenchRow)], lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
-    write_bytes(path, text.getvalue().encode())
+    write_table(path, [field.name for field in fields(BenchRow)], (asdict(row) for row in rows))
 
 
 def tables(rows: Sequence[BenchRow], environment: Mapping[str, Any]) -> str:

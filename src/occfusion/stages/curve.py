@@ -11,6 +11,7 @@ from typing import Any
 import lightning as L
 
 from occfusion.evaluate import evaluate_frames, summarise
+from occfusion.files.table import write_table
 from occfusion.memory import peak_memory_mb
 from occfusion.perceptual import PerceptualMetric
 from occfusion.stages.base import Stage
@@ -101,7 +102,4 @@ class ErrorCurve(L.Callback):
             return list(csv.DictReader(file))
 
     def _write(self, rows: list[dict[str, Any]]) -> None:
-        with self.path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(rows)
+        write_table(self.path, COLUMNS, rows)
