@@ -21,6 +21,8 @@ from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.perceptual import PerceptualMetric, load_perceptual
+from occfusion.init_run import look_at_training_frames, run_init
+from occfusion.priors.moments import Moment
 from occfusion.render import render_frame
 from occfusion.report import write_report
 from occfusion.runfolder import claim_run_folder
@@ -44,6 +46,8 @@ class Run:
     avatar: Avatar
     perceptual: PerceptualMetric | None
     backend: str
+    moments: list[Moment] | None
+    data_hash: str
 
     def render(self, frame: Frame) -> Rendering:
         """Returns the avatar as the frame's camera sees it."""
@@ -62,7 +66,13 @@ def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
     L.seed_everything(settings.seed, verbose=False)
     run_ = _compose(settings, folder_chosen_by_user)
     for stage in stages_to_run(settings):
-        _run_stage(run_, stage)
+        if stage == "init":
+            _complete_masks(run_)
+        else:
+            _run_stage(run_, stage)
+    if stages_to_run(settings) == ["init"]:  # nothing is trained yet that could be evaluated
+        print(f"run folder: {run_.folder}")
+        return {}
     metrics = evaluate_run(
         run_.folder, run_.data, run_.render, settings, run_.perceptual,
         gaussians=run_.avatar.gaussians.num_gaussians,
@@ -79,7 +89,8 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
     summary = data.summary()
     backend = resolve_backend(settings.rasterizer.name, _device(settings), torch.float32)
     folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
-    decisions = planning.make_plan(settings, summary, backend)
+    moments = look_at_training_frames(data, body) if "init" in settings.variant.stages else None
+    decisions = planning.make_plan(settings, summary, backend, moments)
     write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
     perceptual = None
     if settings.optim.lambda_lpips or settings.evaluation.perceptual:
@@ -93,13 +104,24 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
         skinning_every=optim.skinning_every,
         sh_frame=optim.sh_frame,
     )
-    return Run(settings, folder, data, avatar, perceptual, backend)
+    return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"])
 
 
 def _device(settings: Settings) -> torch.device:
     accelerator = settings.trainer.accelerator
     on_gpu = accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
     return torch.device("cuda" if on_gpu else "cpu")
+
+
+def _complete_masks(run_: Run) -> None:
+    """Runs the initialisation stage, unless every frame shows a whole person."""
+    assert run_.moments is not None
+    if not any(moment.evidence.occluded for moment in run_.moments):
+        print("init: no frame is occluded; masks are taken as they are")
+        return
+    run_init(
+        run_.settings, run_.folder, run_.data, run_.avatar.body, run_.moments, run_.data_hash, _device(run_.settings)
+    )
 
 
 def _run_stage(run_: Run, name: str) -> None:

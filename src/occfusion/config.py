@@ -16,11 +16,14 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from occfusion.errors import ConfigError
-from occfusion.stages.settings import OptimSettings
+from occfusion.stages.settings import InitSettings, OptimSettings, PriorTrainingSettings
 
 STAGES = ("init", "optim", "refine")
-IMPLEMENTED_STAGES = ("optim",)
-IMPLEMENTED_PRIORS = ("embedded",)
+PRIOR_STAGE = "prior"
+"""The stage that trains a prior; it has no data set and no avatar."""
+PRIORS = ("embedded", "sd15")
+IMPLEMENTED_STAGES = ("init", "optim")
+IMPLEMENTED_VARIANTS = ("gauhuman", "A", "B")
 VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
 
 
@@ -92,10 +95,12 @@ class Settings:
     dataset: dict[str, Any] = field(default_factory=dict)
     body: BodySettings = field(default_factory=BodySettings)
     variant: VariantSettings = field(default_factory=VariantSettings)
-    prior: Named = field(default_factory=Named)
+    prior: dict[str, Any] = field(default_factory=dict)
     rasterizer: Named = field(default_factory=Named)
     perceptual: PerceptualSettings = field(default_factory=PerceptualSettings)
+    init: InitSettings = field(default_factory=InitSettings)
     optim: OptimSettings = field(default_factory=OptimSettings)
+    prior_training: PriorTrainingSettings = field(default_factory=PriorTrainingSettings)
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
     seed: int = 0
@@ -127,8 +132,10 @@ def load_settings(config: DictConfig) -> Settings:
 def settings_hash(settings: Settings) -> str:
     """Returns a short hash of all that decides what training computes."""
     relevant = asdict(settings)
-    for key in ("stage", "evaluation", "output_dir"):
+    for key in ("stage", "evaluation", "output_dir", "prior_training"):
         del relevant[key]
+    if "init" not in settings.variant.stages:  # no prior is asked
+        del relevant["init"], relevant["prior"]
     for key in ("checkpoint_every", "enable_progress_bar"):
         del relevant["trainer"][key]
     del relevant["dataset"]["root"], relevant["variant"]["paper"]
@@ -137,27 +144,30 @@ def settings_hash(settings: Settings) -> str:
 
 def stages_to_run(settings: Settings) -> list[str]:
     """Returns the stages that this call asks for and the variant needs, in order."""
+    if settings.stage.name == PRIOR_STAGE:
+        return []
     if settings.stage.name == "all":
         return list(settings.variant.stages)
     return [settings.stage.name]
 
 
 def _check_choices(settings: Settings) -> None:
-    missing = [stage for stage in settings.variant.stages if stage not in IMPLEMENTED_STAGES]
-    if missing:
+    available = ", ".join(f"variant={name}" for name in IMPLEMENTED_VARIANTS)
+    if settings.variant.name not in IMPLEMENTED_VARIANTS:
         raise ConfigError(
-            f"variant={settings.variant.name} needs the stage {' and '.join(missing)}, "
-            f"which this version does not have yet; available: variant=gauhuman, variant=A"
+            f"variant={settings.variant.name} does not exist in this version yet; available: {available}"
         )
     for stage in stages_to_run(settings):
         if stage not in IMPLEMENTED_STAGES:
+            choices = ", ".join(f"stage={name}" for name in ("all", *IMPLEMENTED_STAGES, PRIOR_STAGE))
+            raise ConfigError(f"stage={stage} does not exist in this version yet; available: {choices}")
+        if stage not in settings.variant.stages:
             raise ConfigError(
-                f"stage={stage} does not exist in this version yet; available: stage=all, stage=optim"
+                f"stage={stage}: variant={settings.variant.name} has no such stage; it has "
+                f"{', '.join(settings.variant.stages)}"
             )
-    if settings.prior.name not in IMPLEMENTED_PRIORS:
-        raise ConfigError(
-            f"prior={settings.prior.name} does not exist in this version yet; available: prior=embedded"
-        )
+    _check_in("prior.name", str(settings.prior.get("name")), PRIORS)
+    _check_in("init.source", settings.init.source, ("prior", "truth"))
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
     _check_in("optim.sh_frame", settings.optim.sh_frame, ("canonical", "world"))
 
@@ -178,6 +188,8 @@ def _check_ranges(settings: Settings) -> None:
         raise ConfigError("settings optim.lambda_*: all weights are zero, so there is nothing to train")
     for key, value in vars(optim.rates).items():
         _check_range(f"optim.rates.{key}", value, 0.0, 10.0)
+    _check_range("init.threshold", settings.init.threshold, 0.0, 1.0)
+    _check_range("init.smoothing", settings.init.smoothing, 0.0, 10.0)
     _check_range("optim.steps", optim.steps, 1, 10_000_000)
     _check_range("optim.perceptual_every", optim.perceptual_every, 1, 10_000)
     _check_range("optim.perceptual_crop", optim.perceptual_crop, 32, 2048)

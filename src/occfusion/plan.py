@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from occfusion.config import STAGES, Settings, stages_to_run
+from occfusion.priors.evidence import HIDDEN_SHARE
+from occfusion.priors.moments import Moment
 
 
 @dataclass(frozen=True)
@@ -24,18 +26,21 @@ class Decision:
     reason: str
 
 
-def make_plan(settings: Settings, summary: Mapping[str, Any], backend: str) -> list[Decision]:
+def make_plan(
+    settings: Settings, summary: Mapping[str, Any], backend: str, moments: Sequence[Moment] | None = None
+) -> list[Decision]:
     """Returns the decisions for a run, from its settings and from what the data folder showed.
 
     Args:
         settings: the run's settings.
         summary: the DataModule's summary; uses `occluded_frames` and `frames`.
         backend: the rasteriser backend that runs.
+        moments: what masks and poses say of the training frames; None where no masks are completed.
     """
     optim = settings.optim
     steps = optim.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
     plan = [_stage_decision(stage, settings) for stage in STAGES]
-    plan.append(Decision("complete masks", False, f"variant {settings.variant.name} trains on visible masks"))
+    plan.append(_mask_decision(settings, moments))
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
     for name in ("rgb", "mask", "ssim", "lpips"):
@@ -79,6 +84,14 @@ def left_out(plan: list[Decision]) -> list[str]:
 def plan_json(plan: list[Decision]) -> dict[str, Any]:
     """Returns the plan as it stands in `plan.json`."""
     return {"decisions": [asdict(decision) for decision in plan]}
+
+
+def _mask_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+    if moments is None:
+        return Decision("complete masks", False, f"variant {settings.variant.name} trains on visible masks")
+    occluded = sum(moment.evidence.occluded for moment in moments)
+    reason = f"{occluded} of {len(moments)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
+    return Decision("complete masks", occluded > 0, reason)
 
 
 def _stage_decision(stage: str, settings: Settings) -> Decision:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import lightning as L
@@ -134,6 +135,14 @@ class HumanDataModule(L.LightningDataModule):
         """Returns the body parameters of a frame of the sequence."""
         return self._open()[1].pose(frame)
 
+    def use_complete_masks(self, path_of: Callable[[int], Path]) -> None:
+        """Gives the training frames complete masks, the paper's M-hat: read when a frame is, not before.
+
+        Args:
+            path_of: where the complete mask of a frame of the sequence lies, at the size of the frames.
+        """
+        self._open()[1].complete_masks = path_of
+
     # --- frames --------------------------------------------------------------------------------------
 
     def train_frame(self, position: int, *, truth: bool = True) -> Frame:
@@ -148,7 +157,11 @@ class HumanDataModule(L.LightningDataModule):
     def frame_at(self, step: int) -> Frame:
         """Returns the frame that training step `step` is given: a function of seed and step alone."""
         _, views, sampler = self._open()
-        return views.train_frame(sampler.position_at(step), truth=False)
+        return views.train_frame(sampler.position_at(step), truth=False, complete=True)
+
+    def position_at(self, step: int) -> int:
+        """Returns the position of the frame that training step `step` is given."""
+        return self._open()[2].position_at(step)
 
     def train_frames(self) -> Iterator[Frame]:
         """Yields all training frames in order, with the truth where it is known."""
@@ -163,7 +176,7 @@ class HumanDataModule(L.LightningDataModule):
         _, views, sampler = self._open()
 
         def read(position: int) -> Frame:
-            return views.train_frame(position, truth=False)
+            return views.train_frame(position, truth=False, complete=True)
 
         def first_step() -> int:
             return 0 if self.trainer is None else self.trainer.global_step

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from threading import Lock
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.data.cache import BoundedCache
@@ -13,7 +17,8 @@ from occfusion.data.lens import Lens
 from occfusion.data.packing import Packed, pack
 from occfusion.data.prepare import Prepared
 from occfusion.data.scene import BodyParameters
-from occfusion.files.images import image_size
+from occfusion.errors import DataError
+from occfusion.files.images import image_size, read_mask
 from occfusion.types import Frame, Pose, Truth
 
 _KEPT_LENSES = 3
@@ -29,16 +34,45 @@ class Views:
         self._cache: BoundedCache[Packed] = BoundedCache(cache_bytes)
         self._lenses: dict[int, Lens] = {}
         self._parameters: dict[int, BodyParameters] = {}
+        self.complete_masks: Callable[[int], Path] | None = None
+        self._complete: dict[Path, NDArray[np.uint8]] = {}
         self._lock = Lock()
 
-    def train_frame(self, position: int, *, truth: bool) -> Frame:
-        """Returns the training frame at a position; kept in memory while there is room."""
+    def train_frame(self, position: int, *, truth: bool, complete: bool = False) -> Frame:
+        """Returns the training frame at a position; kept in memory while there is room.
+
+        Args:
+            position: in the training frames.
+            truth: with the unoccluded person.
+            complete: with its complete mask, where `complete_masks` says where that lies.
+
+        Raises:
+            DataError: the complete mask is missing or of another size.
+        """
         ready = self._prepared
         frame, hidden = ready.train[position], ready.hidden[position]
         packed = self._cache.get(
             position, lambda: pack(ready.scene.files(frame, ready.camera), self.lens(ready.camera), hidden)
         )
-        return self._frame(packed, frame, ready.camera, truth)
+        made = self._frame(packed, frame, ready.camera, truth)
+        if self.complete_masks is None or not complete:
+            return made
+        return replace(made, complete_mask=self._complete_mask(self.complete_masks(frame), packed.size))
+
+    def _complete_mask(self, path: Path, size: tuple[int, int]) -> Tensor:
+        width, height = size
+        if path not in self._complete:  # a bit a pixel: 100 frames of 512 px take 3 MB
+            if not path.is_file():
+                raise DataError(f"{path}: the complete mask of this frame is missing; run stage=init")
+            mask = read_mask(path)
+            if mask.shape != (height, width):
+                raise DataError(
+                    f"{path}: {mask.shape[1]} x {mask.shape[0]} pixels, but frames have {width} x {height}; "
+                    "the mask is of another run"
+                )
+            self._complete[path] = np.packbits(mask)
+        bits = np.unpackbits(self._complete[path], count=width * height)
+        return torch.from_numpy(bits.reshape(height, width).astype(bool))
 
     def test_frame(self, frame: int, camera: int) -> Frame:
         """Returns a held-out view: unoccluded, its truth being what it shows."""

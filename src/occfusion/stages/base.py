@@ -14,7 +14,7 @@ from occfusion.stages.clock import TrainingClock
 
 
 class Stage(L.LightningModule):
-    """An interface: a training stage with a name, a clock and an avatar of some size."""
+    """An interface: a training stage with a name and a clock."""
 
     name: str
 
@@ -23,10 +23,9 @@ class Stage(L.LightningModule):
         self.clock = TrainingClock()
         self._terms: dict[str, Tensor] = {}
 
-    @property
-    @abstractmethod
-    def num_gaussians(self) -> int:
-        """Gaussians at present."""
+    def progress_note(self) -> str:
+        """Returns what the progress line says of the thing in training, or nothing."""
+        return ""
 
     def keep_terms(self, terms: Mapping[str, Tensor]) -> None:
         """Remembers the terms of this step for the progress line; a term not built this step keeps its last value."""
@@ -35,6 +34,19 @@ class Stage(L.LightningModule):
     def last_terms(self) -> dict[str, float]:
         """Returns the latest value of each loss term, unweighted."""
         return {name: float(value) for name, value in self._terms.items()}
+
+
+class AvatarStage(Stage):
+    """An interface: a stage that trains an avatar."""
+
+    @property
+    @abstractmethod
+    def num_gaussians(self) -> int:
+        """Gaussians at present."""
+
+    def progress_note(self) -> str:
+        """Returns the number of Gaussians."""
+        return f"{self.num_gaussians / 1000:.1f}k gaussians"
 
 
 def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame: str) -> None:

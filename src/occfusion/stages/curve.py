@@ -14,7 +14,7 @@ from occfusion.evaluate import evaluate_frames, summarise
 from occfusion.files.table import write_table
 from occfusion.memory import peak_memory_mb
 from occfusion.perceptual import PerceptualMetric
-from occfusion.stages.base import Stage
+from occfusion.stages.base import AvatarStage
 from occfusion.types import Frame, Rendering
 
 COLUMNS = (
@@ -52,7 +52,7 @@ class ErrorCurve(L.Callback):
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Measures the start of a fresh run, or drops what a resumed run will measure again."""
-        assert isinstance(pl_module, Stage)
+        assert isinstance(pl_module, AvatarStage)
         rows = [
             r for r in self._rows() if r["stage"] != pl_module.name or int(r["step"]) <= trainer.global_step
         ]
@@ -64,7 +64,7 @@ class ErrorCurve(L.Callback):
 
     def on_train_batch_end(self, trainer: L.Trainer, pl_module: L.LightningModule, *_: Any) -> None:
         """Measures when the next time has come."""
-        assert isinstance(pl_module, Stage)
+        assert isinstance(pl_module, AvatarStage)
         if pl_module.clock.seconds >= self._next:
             self._measure(trainer, pl_module)
             while self._next <= pl_module.clock.seconds:
@@ -72,11 +72,11 @@ class ErrorCurve(L.Callback):
 
     def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Measures the end."""
-        assert isinstance(pl_module, Stage)
+        assert isinstance(pl_module, AvatarStage)
         if trainer.global_step != self._last_step:
             self._measure(trainer, pl_module)
 
-    def _measure(self, trainer: L.Trainer, stage: Stage) -> None:
+    def _measure(self, trainer: L.Trainer, stage: AvatarStage) -> None:
         with stage.clock.paused():
             seconds = stage.clock.seconds
             was_training = stage.training

@@ -56,6 +56,10 @@ class SignalGuard(L.Callback):
         for number in SIGNALS:
             signal.signal(number, self._note)
 
+    def on_predict_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Takes the two signals over; the frames that are predicted must end when one has come."""
+        self.on_train_start(trainer, pl_module)
+
     def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
         """Stops the loop when a signal has come."""
         if self.received is not None:

@@ -14,7 +14,7 @@ from occfusion.human.densify import Densifier
 from occfusion.human.gaussians import means_rate
 from occfusion.perceptual import PerceptualMetric, random_crop_box
 from occfusion.splat import rasterize
-from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
+from occfusion.stages.base import AvatarStage, check_finite_gradients, check_finite_terms
 from occfusion.stages.settings import OptimSettings
 from occfusion.stages.targets import Target, crop_frame
 from occfusion.types import Box, Camera, Frame, Rendering
@@ -27,7 +27,7 @@ ADAM_EPS = 1e-15
 """As 3DGS: gradients of the mean over many pixels are tiny, and a larger floor would slow them down."""
 
 
-class OptimStage(Stage):
+class OptimStage(AvatarStage):
     """Fits the avatar to the visible pixels and the masks.
 
     Terms of weight zero are not built: without `lambda_lpips` no network is loaded, and none is asked for here.
@@ -86,7 +86,8 @@ class OptimStage(Stage):
     def _render_crop(self, frame: Frame) -> tuple[Rendering, Target]:
         camera = frame.camera
         cloud = self.avatar(frame.pose, camera.centre)
-        box = person_box(cloud.means.detach(), frame.visible_mask, camera, BOX_PADDING)
+        shown = frame.visible_mask if frame.complete_mask is None else frame.complete_mask
+        box = person_box(cloud.means.detach(), shown, camera, BOX_PADDING)
         if self.densifier is not None:
             self._screen_offsets = torch.zeros_like(cloud.means[:, :2], requires_grad=True)
         rendering = rasterize(
@@ -111,7 +112,8 @@ class OptimStage(Stage):
             terms["ssim"] = losses.ssim_loss(rgb, target.rgb, pixels)
         perceptual = self._perceptual[0]
         if perceptual is not None and step % settings.perceptual_every == 0:
-            box = self._perceptual_box(target.mask, step)
+            # outside the visible pixels both pictures are black
+            box = self._perceptual_box(target.visible_mask, step)
             terms["lpips"] = perceptual(crop(rgb, box), crop(target.rgb, box))
         return terms
 

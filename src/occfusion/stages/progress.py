@@ -23,6 +23,25 @@ def _clock(seconds: float) -> str:
     return f"{minutes}:{seconds:02d}"
 
 
+class FrameProgress(ProgressBar):
+    """Shows `init 41/100` while frames are predicted; a few plain lines where the output is no terminal."""
+
+    def __init__(self, frames: int) -> None:
+        super().__init__()
+        self._frames = frames
+        self._done = 0
+
+    def on_predict_batch_end(self, trainer: L.Trainer, pl_module: L.LightningModule, *_: Any) -> None:
+        """Counts a frame."""
+        assert isinstance(pl_module, Stage)
+        self._done += 1
+        line = f"{pl_module.name} {self._done}/{self._frames} frames"
+        if sys.stderr.isatty():
+            print(f"\r{line}", end="\n" if self._done == self._frames else "", file=sys.stderr, flush=True)
+        elif self._done == self._frames or self._done % max(1, self._frames // PLAIN_LINES) == 0:
+            print(line, file=sys.stderr, flush=True)
+
+
 class ProgressLine(ProgressBar):
     """Shows `optim 412/1200  rgb .021 mask .008  6.9k gaussians  8.1 it/s  310 MB  eta 1:37`."""
 
@@ -79,6 +98,6 @@ class ProgressLine(ProgressBar):
         terms = " ".join(f"{name} {value:.3g}" for name, value in stage.last_terms().items())
         left = _clock((total - step) / max(speed, 1e-9))
         return (
-            f"{step}/{total}  {terms}  {stage.num_gaussians / 1000:.1f}k gaussians  "
+            f"{step}/{total}  {terms}  {stage.progress_note()}  "
             f"{speed:.1f} it/s  {peak_memory_mb():.0f} MB  eta {left}"
         )

@@ -23,6 +23,40 @@ class RateSettings:
 
 
 @dataclass
+class InitSettings:
+    """The initialisation stage (paper §4.1).
+
+    Attributes:
+        source: `prior`, or `truth`: the data set's own complete masks, an upper bound for synthetic scenes.
+        threshold: probability from which on a hidden pixel counts as the person.
+        smoothing: weight of the frame before and of the frame after, beside 1 for the frame itself.
+    """
+
+    source: str = "prior"
+    threshold: float = 0.5
+    smoothing: float = 0.5
+
+
+@dataclass
+class PriorTrainingSettings:
+    """Training of an embedded prior (`stage=prior`)."""
+
+    network: str = "silhouette"
+    widths: list[int] = field(default_factory=lambda: [48, 96, 160])
+    depth: int = 2
+    steps: int = 6000
+    batch: int = 16
+    rate: float = 8e-4
+    warmup: int = 200
+    at_end: float = 0.3
+    averaging: float = 0.998
+    examples: int = 20_000
+    validation: int = 96
+    validation_first_second: float = 60.0
+    corpus: str | None = None
+
+
+@dataclass
 class OptimSettings:
     """The optimisation stage (paper §4.2)."""
 

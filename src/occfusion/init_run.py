@@ -1,0 +1,118 @@
+"""Runs the initialisation stage: decides which frames need a complete mask, completes them, hands them over."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import lightning as L
+import torch
+from torch.utils.data import DataLoader, IterableDataset
+
+from occfusion.config import Settings
+from occfusion.data.module import HumanDataModule
+from occfusion.errors import ConfigError
+from occfusion.files.atomic import write_json
+from occfusion.human import Body
+from occfusion.priors.masks import MaskPrior
+from occfusion.priors.moments import Moment, look
+from occfusion.priors.registry import make_mask_prior
+from occfusion.priors.truth import TruthMasks
+from occfusion.stages.init import InitStage, mask_path
+from occfusion.stages.interruption import Interrupted, SignalGuard
+from occfusion.stages.progress import FrameProgress
+from occfusion.types import Frame
+
+
+def look_at_training_frames(data: HumanDataModule, body: Body) -> list[Moment]:
+    """Returns what masks and poses say of all training frames."""
+    return look((data.train_frame(k, truth=False) for k in range(len(data.train_indices))), body)
+
+
+def run_init(
+    settings: Settings,
+    folder: Path,
+    data: HumanDataModule,
+    body: Body,
+    moments: Sequence[Moment],
+    data_hash: str,
+    device: torch.device,
+) -> None:
+    """Writes the complete masks of a run into `masks/` and has the training frames carry them.
+
+    Raises:
+        Interrupted: a signal stopped it; what is written stays.
+    """
+    masks = folder / "masks"
+    started = time.monotonic()
+
+    def read(position: int) -> Frame:
+        return data.train_frame(position, truth=False)
+
+    prior = _make_prior(settings, data, device)
+    stage = InitStage(prior, body, moments, read, settings.init, masks, {"data": data_hash})
+    wanted = stage.wanted
+    if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
+        wanted = [k for k in wanted if k == data.position_at(0)]
+    if wanted:
+        _predict(stage, read, wanted, settings)
+    record = folder / "init" / "stage.json"
+    if settings.trainer.fast_dev_run or (not wanted and record.is_file()):
+        data.use_complete_masks(lambda frame: mask_path(masks, frame))
+        return
+    consistency = stage.consistency()
+    stage.write_manifest(consistency=consistency)
+    completed = sum(r["status"].startswith("completed") for r in stage.records.values())
+    record.parent.mkdir(parents=True, exist_ok=True)
+    seconds = time.monotonic() - started
+    write_json(
+        record, {"train_seconds": seconds, "completed": completed, "frames": len(moments), "consistency": consistency}
+    )
+    print(
+        f"init: {completed} of {len(moments)} masks completed in {seconds:.1f} s"
+        + ("" if consistency is None else f", consistency {consistency:.3f} (warped IoU)")
+    )
+    data.use_complete_masks(lambda frame: mask_path(masks, frame))
+
+
+def _make_prior(settings: Settings, data: HumanDataModule, device: torch.device) -> MaskPrior:
+    if settings.init.source == "prior":
+        return make_mask_prior(settings.prior, device)
+    if data.train_frame(0).truth is None:
+        raise ConfigError(
+            "init.source=truth: this data set does not know what is hidden; use init.source=prior"
+        )
+    known = ((frame.name, frame.truth) for frame in data.train_frames())
+    return TruthMasks({name: truth.mask.numpy() for name, truth in known if truth is not None})
+
+
+class _Frames(IterableDataset[Frame]):
+    """Training frames at some positions, until a signal comes: Lightning's prediction loop does not look for one."""
+
+    def __init__(self, read: Callable[[int], Frame], positions: Sequence[int], guard: SignalGuard) -> None:
+        self._read, self._positions, self._guard = read, positions, guard
+
+    def __iter__(self) -> Iterator[Frame]:
+        for position in self._positions:
+            if self._guard.received is not None:
+                return
+            yield self._read(position)
+
+
+def _predict(
+    stage: InitStage, read: Callable[[int], Frame], wanted: Sequence[int], settings: Settings
+) -> None:
+    guard = SignalGuard()
+    callbacks: list[L.Callback] = [guard]
+    if settings.trainer.enable_progress_bar:
+        callbacks.append(FrameProgress(len(wanted)))
+    trainer = L.Trainer(
+        accelerator="cpu", devices=1, logger=False, enable_checkpointing=False, enable_model_summary=False,
+        enable_progress_bar=settings.trainer.enable_progress_bar, callbacks=callbacks,
+    )  # fmt: skip
+    loader = DataLoader(_Frames(read, wanted, guard), batch_size=None)
+    with guard:
+        trainer.predict(stage, loader, return_predictions=False)
+    if guard.received is not None and stage.wanted:
+        raise Interrupted(guard.received, str(stage.folder))

@@ -1,0 +1,62 @@
+"""The body mesh as a camera sees it: silhouette and depth for the prior, z-buffer for the joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occfusion.geometry.zbuffer import rasterize_mesh
+
+DEPTH_RANGE = 0.7
+"""Metres before and behind the middle of the body over which depth runs from -1 to 1."""
+SAMPLES = 2
+"""A side, in each pixel."""
+
+
+@dataclass(frozen=True)
+class BodyView:
+    """What a camera sees of the body.
+
+    Attributes:
+        coverage: share of each pixel that the body covers, `[H, W]`, 0..1.
+        relative_depth: depth from the middle of the body in units of `DEPTH_RANGE`, clipped to -1..1, nearest
+            sample of a pixel; 0 where the body is not.
+        depth: depth of the nearest sample, `[H, W]`, metres; infinite where the body is not.
+    """
+
+    coverage: NDArray[np.float32]
+    relative_depth: NDArray[np.float32]
+    depth: NDArray[np.float32]
+
+
+def project(
+    vertices: NDArray[np.floating], viewmat: NDArray[np.floating], K: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns pixels `[V, 2]` and depths `[V]` of world points; what lies behind the camera keeps its depth."""
+    local = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
+    depth = local[:, 2]
+    pixels = (local[:, :2] / np.where(depth > 0.01, depth, 1.0)[:, None]) @ K[:2, :2].T + K[:2, 2]
+    return pixels, depth
+
+
+def view_body(
+    pixels: NDArray[np.floating], depths: NDArray[np.floating], faces: NDArray[np.integer], width: int, height: int
+) -> BodyView:
+    """Returns the body in a picture of `width` x `height` pixels.
+
+    Args:
+        pixels: projected vertices, `[V, 2]`.
+        depths: `[V]`, metres.
+        faces: `[F, 3]`.
+        width: columns.
+        height: rows.
+    """
+    seen = rasterize_mesh(SAMPLES * pixels, depths, faces, SAMPLES * width, SAMPLES * height)
+    samples = seen.depth.reshape(height, SAMPLES, width, SAMPLES)
+    depth = samples.min(axis=(1, 3))
+    coverage = np.isfinite(samples).mean(axis=(1, 3), dtype=np.float32)
+    middle = 0.5 * (float(np.min(depths)) + float(np.max(depths)))
+    relative = np.where(np.isfinite(depth), np.clip((depth - middle) / DEPTH_RANGE, -1.0, 1.0), 0.0)
+    return BodyView(coverage, relative.astype(np.float32), depth)

@@ -1,0 +1,107 @@
+"""The embedded mask prior: our own diffusion model of silhouettes, weights in the package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from occfusion.priors.bodyview import project, view_body
+from occfusion.priors.crop import Square
+from occfusion.priors.diffusion import posterior_mean, sample
+from occfusion.priors.keypoints import see_keypoints
+from occfusion.priors.masks import MaskPrior, Observation
+from occfusion.priors.silhouette import Conditions, make_conditions
+from occfusion.priors.weights import load_silhouette_net
+
+
+@dataclass(frozen=True)
+class EmbeddedSettings:
+    """Settings of `prior=embedded`.
+
+    Attributes:
+        samples: posterior samples a frame, whose mean is the probability; 0: the posterior mean, by `draws`
+            evaluations of the network.
+        draws: evaluations of the posterior mean, each with other noise.
+        steps: evaluations for each sample.
+        seed: of the noise, which all frames share: what differs between frames is then what they show.
+        weights: a `.safetensors` file of `stage=prior`; null: the package's.
+    """
+
+    samples: int = 0
+    draws: int = 2
+    steps: int = 20
+    seed: int = 0
+    weights: str | None = None
+
+
+class EmbeddedMaskPrior(MaskPrior):
+    """Completes masks in a square crop around the body.
+
+    Args:
+        settings: how the posterior is summarised.
+        device: where the network runs.
+    """
+
+    name = "embedded"
+
+    def __init__(self, settings: EmbeddedSettings, device: torch.device | str = "cpu") -> None:
+        self.settings = settings
+        self.device = torch.device(device)
+        self.net, self.card = load_silhouette_net(settings.weights)
+        self.net.to(self.device)
+        self.size = int(self.card["size"])
+
+    def describe(self) -> dict[str, Any]:
+        """Returns the settings and the hash of the weights."""
+        own = {key: value for key, value in vars(self.settings).items() if key != "weights"}
+        return {"prior": self.name, "weights_sha256": self.card["sha256"], **own}
+
+    def probability(self, observation: Observation) -> NDArray[np.float32]:
+        """Returns the probability of the person, `[H, W]`; 0 outside the crop."""
+        square, conditions = self.conditions(observation)
+        window = self.complete(conditions)[0, 0].cpu().numpy()
+        height, width = observation.visible.shape
+        return square.put(window, height, width, 0.0)
+
+    def conditions(self, observation: Observation) -> tuple[Square, Conditions]:
+        """Returns the crop of a frame and what the network is told of it."""
+        camera = observation.camera
+        viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
+        pixels, depths = project(observation.vertices, viewmat, K)
+        square = Square.around(pixels[depths > 0.01])
+        window = square.camera(camera, self.size)
+        projected = project(observation.vertices, viewmat, window.K.double().numpy())
+        view = view_body(*projected, observation.faces, self.size, self.size)
+        seen = see_keypoints(torch.from_numpy(observation.keypoints), window, view.depth)
+        visible = square.take(observation.visible.astype(np.float32), self.size)
+        background = square.take(observation.background.astype(np.float32), self.size, outside=1.0)
+        parts = (
+            (visible > 0.5).astype(np.float32), (background > 0.5).astype(np.float32), view.coverage,
+            view.relative_depth, (seen.pixels / self.size).astype(np.float32), seen.shown,
+        )  # fmt: skip
+        return square, make_conditions(*(torch.from_numpy(part)[None].to(self.device) for part in parts))
+
+    @torch.no_grad()
+    def complete(self, conditions: Conditions) -> Tensor:
+        """Returns the probability of the person in crops, `[B, 1, S, S]`, 0..1."""
+        settings = self.settings
+        count = settings.samples or settings.draws
+        expanded = conditions.expand(count)
+        generator = torch.Generator().manual_seed(settings.seed)
+        noise = torch.randn(count, 1, self.size, self.size, generator=generator).to(self.device)
+        noise = noise.repeat(len(conditions), 1, 1, 1)
+
+        def predict(noisy: Tensor, t: Tensor) -> Tensor:
+            prediction: Tensor = self.net(noisy, t, expanded)
+            return prediction
+
+        if settings.samples:
+            silhouettes = (sample(predict, noise, settings.steps) > 0.0).to(noise.dtype)
+        else:
+            silhouettes = 0.5 + 0.5 * posterior_mean(predict, noise)
+        return silhouettes.reshape(len(conditions), count, *noise.shape[1:]).mean(dim=1)

@@ -1,0 +1,47 @@
+"""From the settings of `prior=` to a prior."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import torch
+
+from occfusion.errors import ConfigError
+from occfusion.priors.embedded import EmbeddedMaskPrior, EmbeddedSettings
+from occfusion.priors.masks import MaskPrior
+
+S = TypeVar("S")
+
+
+def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPrior:
+    """Returns the prior of a mapping with the key `name` and its settings; loads its weights.
+
+    Raises:
+        ConfigError: an unknown prior, key or type.
+        DataError: weights are missing or damaged.
+    """
+    options = dict(settings)
+    name = options.pop("name", None)
+    if name == "embedded":
+        return EmbeddedMaskPrior(_typed(EmbeddedSettings, options), device)
+    if name == "sd15":
+        from occfusion.priors.sd15 import Sd15MaskPrior, Sd15Settings  # diffusers is an extra
+
+        return Sd15MaskPrior(_typed(Sd15Settings, options), device)
+    raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")
+
+
+def _typed(kind: type[S], options: Mapping[str, Any]) -> S:
+    """Returns a settings record of a mapping; numbers and texts must be of the kind of its defaults."""
+    known = {field.name: field.default for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for key, value in options.items():
+        if key not in known:
+            raise ConfigError(f"setting prior.{key}: unknown; this prior has {', '.join(known)}")
+        default = known[key]
+        if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+            continue
+        if default is not None and value is not None and not isinstance(value, type(default)):
+            raise ConfigError(f"setting prior.{key}={value!r}: expected {type(default).__name__}")
+    return kind(**options)

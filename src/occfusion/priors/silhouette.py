@@ -1,0 +1,83 @@
+"""The embedded prior of silhouettes: a diffusion model of what a whole person's mask looks like in a square crop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor, nn
+
+from occfusion.priors.limbs import NUM_MAPS, limb_maps
+from occfusion.priors.unet import BlockUNet
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What is known of a batch of crops; a condition that is not known is zero everywhere.
+
+    Attributes:
+        visible: pixels that show the person, `[B, 1, S, S]`, 0 or 1.
+        background: pixels known to be background, `[B, 1, S, S]`, 0 or 1.
+        body: coverage and relative depth of the body mesh, `[B, 2, S, S]`.
+        limbs: the pose, `[B, 7, S / 4, S / 4]`.
+    """
+
+    visible: Tensor
+    background: Tensor
+    body: Tensor
+    limbs: Tensor
+
+    def without(self, *names: str) -> Conditions:
+        """Returns the conditions with those of the given names unknown."""
+        return replace(self, **{name: torch.zeros_like(getattr(self, name)) for name in names})
+
+    def expand(self, count: int) -> Conditions:
+        """Returns each crop of the batch `count` times, one after the other."""
+        parts = {f.name: getattr(self, f.name).repeat_interleave(count, dim=0) for f in fields(self)}
+        return Conditions(**parts)
+
+    def __getitem__(self, key: slice) -> Conditions:
+        """Returns a part of the batch."""
+        return Conditions(**{f.name: getattr(self, f.name)[key] for f in fields(self)})
+
+    def __len__(self) -> int:
+        """Returns the number of crops."""
+        return len(self.visible)
+
+
+class SilhouetteNet(nn.Module):
+    """Predicts v of a silhouette in -1..1 from its noisy version and the conditions.
+
+    Args:
+        widths: channels at each level.
+        depth: residual blocks of the lower levels.
+    """
+
+    def __init__(self, widths: tuple[int, ...] = (48, 96, 160), depth: int = 2) -> None:
+        super().__init__()
+        self.net = BlockUNet(1, 5, NUM_MAPS, tuple(widths), depth)
+
+    def forward(self, noisy: Tensor, t: Tensor, conditions: Conditions) -> Tensor:
+        """Returns v, `[B, 1, S, S]`, for `noisy [B, 1, S, S]` and `t [B]`."""
+        c = conditions
+        fine = torch.cat([noisy, c.visible, c.background, c.body], dim=1)
+        fine = fine.contiguous(memory_format=torch.channels_last)
+        prediction: Tensor = self.net(fine, c.limbs, t)
+        return prediction
+
+
+def make_conditions(
+    visible: Tensor, background: Tensor, coverage: Tensor, depth: Tensor, keypoints: Tensor, shown: Tensor
+) -> Conditions:
+    """Returns the conditions of a batch of crops.
+
+    Args:
+        visible: `[B, S, S]`, 0 or 1.
+        background: `[B, S, S]`, 0 or 1.
+        coverage: of the body, `[B, S, S]`, 0..1.
+        depth: relative depth of the body, `[B, S, S]`, -1..1.
+        keypoints: `[B, 18, 2]`, crop widths.
+        shown: bool `[B, 18]`.
+    """
+    limbs = limb_maps(keypoints, shown, visible.shape[-1] // 4)
+    return Conditions(visible[:, None], background[:, None], torch.stack([coverage, depth], dim=1), limbs)

@@ -1,0 +1,174 @@
+"""The initialisation stage: complete masks from partial ones (paper §4.1)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from occfusion.files.atomic import write_json, write_png
+from occfusion.files.images import read_mask
+from occfusion.human.body import Body
+from occfusion.priors.consistency import body_flow, smoothed, warped_iou
+from occfusion.priors.masks import MaskPrior, checked_probability
+from occfusion.priors.moments import Moment
+from occfusion.stages.base import Stage
+from occfusion.stages.settings import InitSettings
+from occfusion.types import Frame
+
+MANIFEST = "manifest.json"
+UNCERTAINTY = "uncertainty"
+REMEMBERED = 3
+"""Positions to either side whose probabilities are kept for smoothing."""
+
+
+class InitStage(Stage):
+    """Completes the mask of each frame whose person is occluded, and writes it; run by `Trainer.predict`.
+
+    Frames of a whole person are passed through: their mask is written as it is and no prior is asked. What is
+    written already by the same prior on the same data is not computed again.
+
+    Args:
+        prior: completes masks.
+        body: the body of the data set.
+        moments: of all training frames, in order.
+        read: gives the training frame at a position.
+        settings: smoothing and threshold.
+        folder: where masks, uncertainty maps and the manifest go.
+        identity: what the masks depend on besides prior and settings: the hash of the data.
+    """
+
+    name = "init"
+
+    def __init__(
+        self,
+        prior: MaskPrior,
+        body: Body,
+        moments: Sequence[Moment],
+        read: Callable[[int], Frame],
+        settings: InitSettings,
+        folder: Path,
+        identity: dict[str, Any],
+    ) -> None:
+        super().__init__()
+        # wrapped in tuples so that neither is part of this module's state
+        self._prior, self._body = (prior,), (body,)
+        self.moments = moments
+        self.settings = settings
+        self.folder = folder
+        self.identity = {**identity, **vars(settings), **prior.describe()}
+        self.records = self._earlier()
+        self._read = read
+        self._positions = {moment.frame: k for k, moment in enumerate(moments)}
+        self._probabilities: dict[int, NDArray[np.float32]] = {}
+
+    @property
+    def wanted(self) -> list[int]:
+        """Positions of the frames that are not written yet."""
+        return [k for k, moment in enumerate(self.moments) if _name(moment.frame) not in self.records]
+
+    def _earlier(self) -> dict[str, dict[str, Any]]:
+        """Returns the records of an earlier call that still hold."""
+        path = self.folder / MANIFEST
+        if not path.is_file():
+            return {}
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["identity"] != json.loads(json.dumps(self.identity)):
+            return {}
+        return {name: r for name, r in content["frames"].items() if (self.folder / f"{name}.png").is_file()}
+
+    def transfer_batch_to_device(self, batch: Frame, device: torch.device, dataloader_idx: int) -> Frame:
+        """Returns the frame where it is: geometry is done on the host, and a prior moves what it needs."""
+        return batch
+
+    @torch.no_grad()
+    def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
+        """Completes and writes the mask of one frame; returns its record."""
+        position = self._positions[frame.index]
+        evidence = self.moments[position].evidence
+        visible = frame.visible_mask.cpu().numpy()
+        record: dict[str, Any] = {"hidden_share": round(evidence.hidden_share, 4)}
+        if evidence.occluded:
+            probability = self._smoothed(position, visible)
+            mask = visible | (probability > self.settings.threshold)
+            uncertainty = 4.0 * probability * (1.0 - probability)
+            record["status"] = "completed" if visible.any() else "completed, nothing seen"
+            record["added_pixels"] = int((mask & ~visible).sum())
+            (self.folder / UNCERTAINTY).mkdir(parents=True, exist_ok=True)
+            write_png(self.folder / UNCERTAINTY / f"{_name(frame.index)}.png", np.uint8(255.0 * uncertainty + 0.5))
+        else:
+            mask = visible
+            record["status"] = "passed through"
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_png(mask_path(self.folder, frame.index), np.where(mask, 255, 0).astype(np.uint8))
+        self.records[_name(frame.index)] = record
+        return record
+
+    def _probability(self, position: int) -> NDArray[np.float32]:
+        """Returns the prior's answer for a frame by itself; the last few are remembered."""
+        if position not in self._probabilities:
+            moment, frame = self.moments[position], self._read(position)
+            if moment.evidence.occluded:
+                answer = checked_probability(self._prior[0], moment.observation(frame, self._body[0]))
+            else:
+                answer = frame.visible_mask.cpu().numpy().astype(np.float32)
+            self._probabilities[position] = answer
+            for old in [k for k in self._probabilities if abs(k - position) > REMEMBERED]:
+                del self._probabilities[old]
+        return self._probabilities[position]
+
+    def _smoothed(self, position: int, visible: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Returns the probability averaged along the body's motion with the frames before and after."""
+        own, moment = self._probability(position), self.moments[position]
+        if self.settings.smoothing == 0.0:
+            return own
+        faces = self._body[0].faces.cpu().numpy()
+        neighbours = []
+        for other in (position - 1, position + 1):
+            if 0 <= other < len(self.moments):
+                flow = body_flow(moment.motion, self.moments[other].motion, faces, *own.shape)
+                neighbours.append((self._probability(other), flow))
+        mean = smoothed(own, neighbours, self.settings.smoothing)
+        # only what is not known is smoothed
+        return np.where(moment.evidence.background | visible, own, mean)
+
+    def on_predict_batch_end(self, *_: Any) -> None:
+        """Writes the manifest after each frame, so that a stopped run continues behind it."""
+        self.write_manifest()
+
+    def write_manifest(self, **more: Any) -> None:
+        """Writes what was done, with what."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        content = {"identity": self.identity, "frames": dict(sorted(self.records.items())), **more}
+        write_json(self.folder / MANIFEST, content)
+
+    def consistency(self) -> float | None:
+        """Returns the mean warped IoU of consecutive masks where something was completed; None without any.
+
+        Each mask is compared, near its hidden pixels, with the mask of the frame before carried along the body's
+        motion: 1 means that nothing flickers.
+        """
+        faces = self._body[0].faces.cpu().numpy()
+        scores = []
+        for before, now in zip(self.moments[:-1], self.moments[1:], strict=True):
+            if not now.evidence.occluded:
+                continue
+            masks = [read_mask(mask_path(self.folder, moment.frame)) for moment in (now, before)]
+            flow = body_flow(now.motion, before.motion, faces, *masks[0].shape)
+            scores.append(warped_iou(*masks, flow, ~now.evidence.background))
+        known = [score for score in scores if score is not None]
+        return float(np.mean(known)) if known else None
+
+
+def _name(frame: int) -> str:
+    return f"{frame:06d}"
+
+
+def mask_path(folder: Path, frame: int) -> Path:
+    """Returns where the complete mask of a frame of the sequence lies."""
+    return folder / f"{_name(frame)}.png"

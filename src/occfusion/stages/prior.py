@@ -1,0 +1,106 @@
+"""Training of the embedded silhouette prior (`stage=prior`)."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from occfusion.priors.diffusion import diffuse, velocity
+from occfusion.priors.silhouette import SilhouetteNet
+from occfusion.priors.training import Batch
+from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
+from occfusion.stages.settings import PriorTrainingSettings
+
+
+class PriorStage(Stage):
+    """Fits a silhouette network by v-prediction; keeps an exponential average of its weights, which is the result.
+
+    A share of the examples is trained at t = 1, where the prediction is the posterior mean that completes masks.
+
+    Args:
+        settings: size, steps and rates.
+        seed: decides noise and times, step by step.
+    """
+
+    name = "prior"
+
+    def __init__(self, settings: PriorTrainingSettings, *, seed: int) -> None:
+        super().__init__()
+        self.settings = settings
+        self.seed = seed
+        self.net = SilhouetteNet(tuple(settings.widths), settings.depth).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.averaged = copy.deepcopy(self.net).requires_grad_(False)
+
+    def training_step(self, batch: Batch, _batch_idx: int) -> Tensor:
+        """Returns the weighted squared error of v."""
+        step, clean = self.global_step, batch.clean
+        generator = torch.Generator(clean.device).manual_seed(self.seed * 1_000_003 + step)
+        t = torch.rand(len(clean), generator=generator, device=clean.device)
+        t[: round(self.settings.at_end * len(t))] = 1.0
+        noise = torch.randn(clean.shape, generator=generator, device=clean.device)
+        predicted = self.net(diffuse(clean, noise, t), t, batch.conditions)
+        error = (predicted - velocity(clean, noise, t)).square() * batch.weight
+        terms = {"v": error.sum() / batch.weight.sum()}
+        self.keep_terms(terms)
+        check_finite_terms(terms, self.name, step, "batch")
+        return terms["v"]
+
+    def configure_optimizers(self) -> torch.optim.AdamW:
+        """Returns AdamW; the rate follows a cosine after a warm-up."""
+        groups = [{"params": list(self.net.parameters()), "name": "net"}]
+        return torch.optim.AdamW(groups, lr=self.settings.rate, weight_decay=1e-3, betas=(0.9, 0.99))
+
+    def on_train_start(self) -> None:
+        """Starts the training clock."""
+        self.clock.start()
+
+    def on_train_end(self) -> None:
+        """Stops the training clock."""
+        self.clock.stop()
+
+    def on_train_batch_start(self, _batch: Any, _batch_idx: int) -> None:
+        """Sets the learning rate and moves the average of the weights by the step before.
+
+        The average belongs to the start of a step: a checkpoint is written at the end of one, before any hook of
+        this module could run.
+        """
+        self._average()
+        rate = learning_rate(self.global_step, self.settings)
+        for group in self.optimizers(use_pl_optimizer=False).param_groups:  # type: ignore[union-attr]
+            group["lr"] = rate
+
+    def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
+        """Checks the gradients and bounds their norm."""
+        check_finite_gradients(optimizer.param_groups, self.name, self.global_step, "batch")
+        torch.nn.utils.clip_grad_norm_(self.net.parameters(), 1.0)
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        keep = min(self.settings.averaging, (1 + self.global_step) / (10 + self.global_step))
+        for mean, now in zip(self.averaged.parameters(), self.net.parameters(), strict=True):
+            mean.lerp_(now, 1.0 - keep)
+
+    def finished(self) -> SilhouetteNet:
+        """Returns the averaged network with the last step in it."""
+        self._average()
+        return self.averaged.eval()
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Adds the training seconds."""
+        checkpoint["train_seconds"] = self.clock.seconds
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Takes the training seconds of the earlier run over."""
+        self.clock.restore(checkpoint["train_seconds"])
+
+
+def learning_rate(step: int, settings: PriorTrainingSettings) -> float:
+    """Returns the rate at a step: linear warm-up, then half a cosine down to a hundredth."""
+    if step < settings.warmup:
+        return settings.rate * (step + 1) / settings.warmup
+    share = min(1.0, (step - settings.warmup) / max(1, settings.steps - settings.warmup))
+    return settings.rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * share)))
