@@ -16,6 +16,7 @@ LAYERS = [
     {"geometry", "splat", "ssim", "losses", "metrics", "files", "memory"},
     {"human", "perceptual"},
     {"synth", "data"},
+    {"priors"},
     {"render", "evaluate"},
     {"stages"},
     {
@@ -27,6 +28,8 @@ LAYERS = [
         "runs",
         "tables",
         "evaluation_run",
+        "init_run",
+        "prior_run",
         "report",
         "bench",
     },
@@ -38,7 +41,7 @@ LEVEL = {part: level for level, parts in enumerate(LAYERS) for part in parts}
 
 # heavy or optional libraries, and the only parts that may import them when they are themselves imported
 AT_TOP_LEVEL_ONLY_IN = {
-    "lightning": {"data/module.py", "stages", "app.py", "cli"},
+    "lightning": {"data/module.py", "stages", "app.py", "init_run.py", "prior_run.py", "cli"},
     "hydra": {"cli", "app.py", "compose.py"},
     "diffusers": set(),
     "transformers": set(),
@@ -55,7 +58,7 @@ AT_TOP_LEVEL_ONLY_IN = {
 ANYWHERE_ONLY_IN = {
     "hydra": {"cli", "app.py", "config.py", "compose.py"},
     "omegaconf": {"cli", "app.py", "config.py", "compose.py", "runs.py", "runfolder.py"},
-    "lightning": {"data/module.py", "stages", "app.py", "cli", "config.py"},
+    "lightning": {"data/module.py", "stages", "app.py", "init_run.py", "prior_run.py", "cli", "config.py"},
     "stlpips_pytorch": set(),
     "torchvision": set(),
 }

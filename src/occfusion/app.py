@@ -13,15 +13,16 @@ from omegaconf import DictConfig
 
 from occfusion import plan as planning
 from occfusion.compose import make_body, make_data
-from occfusion.config import Settings, load_settings, stages_to_run
+from occfusion.config import PRIOR_STAGE, Settings, load_settings, stages_to_run
 from occfusion.data.handful import held_out_handful
 from occfusion.data.module import HumanDataModule
 from occfusion.evaluation_run import evaluate_run
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
-from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.init_run import look_at_training_frames, run_init
+from occfusion.perceptual import PerceptualMetric, load_perceptual
+from occfusion.prior_run import run_prior_training
 from occfusion.priors.moments import Moment
 from occfusion.render import render_frame
 from occfusion.report import write_report
@@ -64,6 +65,8 @@ def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     settings = load_settings(config)
     L.seed_everything(settings.seed, verbose=False)
+    if settings.stage.name == PRIOR_STAGE:
+        return run_prior_training(settings, folder_chosen_by_user=folder_chosen_by_user)
     run_ = _compose(settings, folder_chosen_by_user)
     for stage in stages_to_run(settings):
         if stage == "init":
@@ -120,7 +123,13 @@ def _complete_masks(run_: Run) -> None:
         print("init: no frame is occluded; masks are taken as they are")
         return
     run_init(
-        run_.settings, run_.folder, run_.data, run_.avatar.body, run_.moments, run_.data_hash, _device(run_.settings)
+        run_.settings,
+        run_.folder,
+        run_.data,
+        run_.avatar.body,
+        run_.moments,
+        run_.data_hash,
+        _device(run_.settings),
     )
 
 

@@ -143,12 +143,18 @@ def settings_hash(settings: Settings) -> str:
 
 
 def stages_to_run(settings: Settings) -> list[str]:
-    """Returns the stages that this call asks for and the variant needs, in order."""
+    """Returns the stages that this call asks for, in order: those of the variant up to the one named, or all.
+
+    A stage needs the results of those before it; what is done already is not done again.
+    """
     if settings.stage.name == PRIOR_STAGE:
         return []
     if settings.stage.name == "all":
         return list(settings.variant.stages)
-    return [settings.stage.name]
+    stages = list(settings.variant.stages)
+    if settings.stage.name not in stages:
+        return [settings.stage.name]
+    return stages[: stages.index(settings.stage.name) + 1]
 
 
 def _check_choices(settings: Settings) -> None:

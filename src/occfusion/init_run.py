@@ -67,7 +67,13 @@ def run_init(
     record.parent.mkdir(parents=True, exist_ok=True)
     seconds = time.monotonic() - started
     write_json(
-        record, {"train_seconds": seconds, "completed": completed, "frames": len(moments), "consistency": consistency}
+        record,
+        {
+            "train_seconds": seconds,
+            "completed": completed,
+            "frames": len(moments),
+            "consistency": consistency,
+        },
     )
     print(
         f"init: {completed} of {len(moments)} masks completed in {seconds:.1f} s"

@@ -20,11 +20,11 @@ def settings_of(*overrides: str) -> Settings:
 def test_defaults_are_the_papers_numbers() -> None:
     settings = settings_of()
     optim = settings.optim
-    assert settings.variant.name == "A"
+    assert settings.variant.name == "B"
     assert optim.steps == 1200
     weights = (optim.lambda_rgb, optim.lambda_mask, optim.lambda_ssim, optim.lambda_lpips)
     assert weights == (1e4, 2e4, 1e3, 1e3)
-    assert settings.output_dir == "runs/synthetic/001-clean/A"
+    assert settings.output_dir == "runs/synthetic/001-clean/B"
 
 
 def test_gauhuman_differs_where_the_paper_says() -> None:
@@ -67,7 +67,7 @@ def test_nothing_to_train_is_refused() -> None:
         settings_of(*zero)
 
 
-@pytest.mark.parametrize("override", ["variant=B", "variant=E", "stage=refine", "stage=init", "prior=sd15"])
+@pytest.mark.parametrize("override", ["variant=C", "variant=E", "stage=refine"])
 def test_what_does_not_exist_yet_is_refused_plainly(override: str) -> None:
     with pytest.raises(ConfigError, match=r"does not (exist|have)|not have yet"):
         settings_of(override)
@@ -82,6 +82,24 @@ def test_hash_follows_what_training_computes_and_nothing_else() -> None:
 
 
 def test_stage_all_runs_what_the_variant_needs() -> None:
-    assert stages_to_run(settings_of()) == ["optim"]
-    assert stages_to_run(settings_of("stage=optim")) == ["optim"]
+    assert stages_to_run(settings_of()) == ["init", "optim"]
+    assert stages_to_run(settings_of("variant=A")) == ["optim"]
+    assert stages_to_run(settings_of("stage=prior")) == []
+
+
+def test_a_stage_brings_those_before_it() -> None:
+    assert stages_to_run(settings_of("stage=optim")) == ["init", "optim"]
+    assert stages_to_run(settings_of("stage=init")) == ["init"]
+    with pytest.raises(ConfigError, match="variant=A has no such stage"):
+        settings_of("stage=init", "variant=A")
+
+
+def test_a_prior_is_no_part_of_a_run_that_asks_none() -> None:
+    for variant in ("gauhuman", "A"):
+        base = settings_hash(settings_of(f"variant={variant}"))
+        assert settings_hash(settings_of(f"variant={variant}", "prior.seed=3", "init.smoothing=0")) == base
+    assert settings_hash(settings_of("prior.seed=3")) != settings_hash(settings_of())
+
+
+def test_numbers() -> None:
     assert not math.isnan(settings_of().optim.lambda_rgb)

@@ -29,7 +29,7 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
         assert torch.equal(a[name], b[name]), name
 
 
-@pytest.mark.parametrize("variant", ["gauhuman", "A"])
+@pytest.mark.parametrize("variant", ["gauhuman", "A", "B"])
 @pytest.mark.parametrize("stage", ["all", "optim"])
 def test_fast_dev_run(train: Train, variant: str, stage: str) -> None:
     folder, metrics = train(f"variant={variant}", f"stage={stage}", "trainer.fast_dev_run=true")
@@ -55,11 +55,15 @@ def test_run_folder_holds_what_the_interface_promises(train: Train) -> None:
         "peak_memory_mb",
     ]  # fmt: skip
     plan = json.loads((folder / "plan.json").read_text())
-    assert any(d["part"] == "stage init" and not d["used"] and d["reason"] for d in plan["decisions"])
-    assert "stage init" in metrics["left_out"]
+    assert any(d["part"] == "stage refine" and not d["used"] and d["reason"] for d in plan["decisions"])
+    assert "stage refine" in metrics["left_out"]
+    manifest = json.loads((folder / "masks" / "manifest.json").read_text())
+    assert len(manifest["frames"]) == 10
+    assert manifest["identity"]["weights_sha256"]
+    assert metrics["train_seconds"]["init"] > 0
 
 
-@pytest.mark.parametrize("variant", ["gauhuman", "A"])
+@pytest.mark.parametrize("variant", ["gauhuman", "A", "B"])
 def test_stopped_and_resumed_run_equals_an_uninterrupted_one(
     train: Train, variant: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -42,7 +42,11 @@ def project(
 
 
 def view_body(
-    pixels: NDArray[np.floating], depths: NDArray[np.floating], faces: NDArray[np.integer], width: int, height: int
+    pixels: NDArray[np.floating],
+    depths: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    width: int,
+    height: int,
 ) -> BodyView:
     """Returns the body in a picture of `width` x `height` pixels.
 

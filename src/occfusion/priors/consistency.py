@@ -64,9 +64,7 @@ def warp(picture: Floats, flow: Floats) -> Floats:
     return np.asarray(cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float32)
 
 
-def smoothed(
-    probability: Floats, neighbours: Sequence[tuple[Floats, Floats]], weight: float = 0.5
-) -> Floats:
+def smoothed(probability: Floats, neighbours: Sequence[tuple[Floats, Floats]], weight: float = 0.5) -> Floats:
     """Returns a probability averaged with those of neighbouring frames, warped.
 
     Args:
@@ -81,7 +79,9 @@ def smoothed(
     return np.asarray(total / weights, np.float32)
 
 
-def warped_iou(now: NDArray[np.bool_], other: NDArray[np.bool_], flow: Floats, where: NDArray[np.bool_]) -> float | None:
+def warped_iou(
+    now: NDArray[np.bool_], other: NDArray[np.bool_], flow: Floats, where: NDArray[np.bool_]
+) -> float | None:
     """Returns the IoU, inside `where`, of a mask with the other frame's mask warped to it; None if both are empty."""
     carried = warp(other.astype(np.float32), flow) > 0.5
     union = int(((now | carried) & where).sum())

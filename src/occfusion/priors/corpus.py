@@ -18,8 +18,14 @@ from occfusion.priors.bodyview import project, view_body
 from occfusion.priors.crop import Square
 from occfusion.priors.keypoints import face_vertices, keypoints_3d, see_keypoints
 from occfusion.synth.dress import Figure, dress
-from occfusion.synth.fullbody import ModelBody, bone_transforms, load_full_body, load_model_body, skin
-from occfusion.synth.fullbody import vertex_normals
+from occfusion.synth.fullbody import (
+    ModelBody,
+    bone_transforms,
+    load_full_body,
+    load_model_body,
+    skin,
+    vertex_normals,
+)
 from occfusion.synth.motion import make_take
 from occfusion.synth.rotations import Floats, matrix_from_axis_angle
 from occfusion.synth.spec import HELD_OUT_FROM
@@ -162,7 +168,7 @@ def make_example(
         rng: source of camera, errors and crop.
         camera: looks at the origin's surroundings; drawn when None.
     """
-    body, model, face = _body()
+    _, model, face = _body()
     transforms = bone_transforms(pose, figure.joints, load_full_body().parents)
     person = skin(figure.rest, figure.weights, transforms)
     sway = rng.normal(0.0, 0.03, 3) * np.array([1.0, 0.3, 1.0])
@@ -171,7 +177,7 @@ def make_example(
     if camera is None:
         camera = draw_camera(0.5 * (person.min(0) + person.max(0)), rng)
     viewmat, K = camera.viewmat.numpy(), camera.K.numpy()
-    pixels, depths = project(vertices, viewmat, K)
+    pixels, _ = project(vertices, viewmat, K)
     square = Square.around(pixels, rng.uniform(0.06, 0.16))
     shift = rng.uniform(-0.02, 0.02, 2) * square.side
     window = Square(square.x + shift[0], square.y + shift[1], square.side).camera(camera, SIZE)

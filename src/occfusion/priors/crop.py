@@ -69,7 +69,9 @@ class Square:
         )  # fmt: skip
         return np.asarray(large.reshape(size, over, size, over).mean(axis=(1, 3)), np.float32)
 
-    def put(self, window: NDArray[np.float32], height: int, width: int, outside: float) -> NDArray[np.float32]:
+    def put(
+        self, window: NDArray[np.float32], height: int, width: int, outside: float
+    ) -> NDArray[np.float32]:
         """Returns a picture `[H, W]` with the window `[S, S]` in its place, cubic, and `outside` around it."""
         size = window.shape[0]
         scale = size / self.side

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -63,7 +64,7 @@ def sample(predict: Predictor, noise: Tensor, steps: int, *, eta: float = 0.0) -
         raise ValueError(f"steps must be at least 1; got {steps}")
     times = torch.linspace(1.0, 0.0, steps + 1, dtype=noise.dtype, device=noise.device)
     x = noise
-    for now, after in zip(times[:-1], times[1:], strict=True):
+    for now, after in pairwise(times):
         t = now.expand(noise.shape[0])
         clean, residual = clean_and_noise(x, predict(x, t), t)
         clean = clean.clamp(-1.0, 1.0)

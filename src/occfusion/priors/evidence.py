@@ -43,7 +43,7 @@ class Evidence:
 
 def person_size(body: Mask) -> float:
     """Returns the longer side of a mask's bounding box, pixels; 0 if it is empty."""
-    rows, columns = body.any(axis=1).nonzero()[0], body.any(axis=0).nonzero()[0]
+    rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
     if not len(rows):
         return 0.0
     return float(max(rows[-1] - rows[0], columns[-1] - columns[0]) + 1)

@@ -32,7 +32,9 @@ def draw_hidden(person: Mask, rng: np.random.Generator) -> Mask:
     if kind == "strip":
         return _strip(person.shape[0], 0.5 * (at + middle), extent, rng)
     if kind == "half":
-        return half_plane(person.shape[0], middle + 0.2 * extent * rng.normal(0.0, 1.0, 2), rng.uniform(0, 2 * np.pi))
+        return half_plane(
+            person.shape[0], middle + 0.2 * extent * rng.normal(0.0, 1.0, 2), rng.uniform(0, 2 * np.pi)
+        )
     hidden = np.zeros(person.shape, np.uint8)
     if kind == "box":
         half = extent * rng.uniform(0.15, 0.6, 2)
@@ -61,6 +63,13 @@ def half_plane(size: int, through: NDArray[np.floating], angle: float) -> Mask:
     return np.asarray((columns - through[0]) * np.cos(angle) + (rows - through[1]) * np.sin(angle) > 0.0)
 
 
+def random_half(person: Mask, rng: np.random.Generator) -> Mask:
+    """Returns a half plane of random direction whose edge runs through the middle of the person's bounding box."""
+    rows, columns = np.nonzero(person)
+    middle = 0.5 * np.array([columns.min() + columns.max() + 1.0, rows.min() + rows.max() + 1.0])
+    return half_plane(person.shape[0], middle, rng.uniform(0.0, 2.0 * np.pi))
+
+
 def centre_strip(person: Mask, share: float) -> Mask:
     """Returns the upright strip about the person's middle column that hides a share of the person's pixels."""
     per_column = person.sum(axis=0)
@@ -73,7 +82,9 @@ def centre_strip(person: Mask, share: float) -> Mask:
     return hidden
 
 
-def _strip(size: int, at: NDArray[np.floating], extent: NDArray[np.floating], rng: np.random.Generator) -> Mask:
+def _strip(
+    size: int, at: NDArray[np.floating], extent: NDArray[np.floating], rng: np.random.Generator
+) -> Mask:
     rows, columns = np.mgrid[:size, :size] + 0.5
     turn = rng.normal(0.0, 0.05) if rng.uniform() < 0.7 else rng.uniform(0.0, np.pi)
     across = (columns - at[0]) * np.cos(turn) + (rows - at[1]) * np.sin(turn)

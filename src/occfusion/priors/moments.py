@@ -64,7 +64,8 @@ def look(frames: Iterable[Frame], body: Body) -> list[Moment]:
         pose, camera = frame.pose, frame.camera
         found = body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)
         vertices, joints = (part.double().cpu() for part in found)
-        pixels, depths = project(vertices.numpy(), camera.viewmat.double().cpu().numpy(), camera.K.double().cpu().numpy())
+        viewmat, K = camera.viewmat.double().cpu().numpy(), camera.K.double().cpu().numpy()
+        pixels, depths = project(vertices.numpy(), viewmat, K)
         covered = view_body(pixels, depths, faces, camera.width, camera.height).coverage > 0.5
         if not covered.any():
             raise DataError(

@@ -31,6 +31,10 @@ class Conditions:
         """Returns the conditions with those of the given names unknown."""
         return replace(self, **{name: torch.zeros_like(getattr(self, name)) for name in names})
 
+    def to(self, device: torch.device | str) -> Conditions:
+        """Returns the conditions on `device`."""
+        return Conditions(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+
     def expand(self, count: int) -> Conditions:
         """Returns each crop of the batch `count` times, one after the other."""
         parts = {f.name: getattr(self, f.name).repeat_interleave(count, dim=0) for f in fields(self)}

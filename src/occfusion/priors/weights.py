@@ -28,11 +28,13 @@ def digest(tensors: dict[str, Tensor]) -> str:
     for name in sorted(tensors):
         tensor = tensors[name].detach().cpu().contiguous()
         content.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())
-        content.update(tensor.view(torch.uint8).numpy().tobytes())
+        content.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
     return content.hexdigest()
 
 
-def save_silhouette_net(path: Path, net: SilhouetteNet, widths: list[int], depth: int, card: dict[str, Any]) -> None:
+def save_silhouette_net(
+    path: Path, net: SilhouetteNet, widths: list[int], depth: int, card: dict[str, Any]
+) -> None:
     """Writes a network's weights in half precision, with what is needed to build it and what is known of it.
 
     Args:
@@ -43,7 +45,13 @@ def save_silhouette_net(path: Path, net: SilhouetteNet, widths: list[int], depth
         card: data, seeds, times and figures, as JSON can hold them.
     """
     tensors = {name: value.detach().cpu().half().contiguous() for name, value in net.state_dict().items()}
-    content = {"network": "silhouette", "size": SIZE, "widths": widths, "depth": depth, "sha256": digest(tensors)}
+    content = {
+        "network": "silhouette",
+        "size": SIZE,
+        "widths": widths,
+        "depth": depth,
+        "sha256": digest(tensors),
+    }
     write_bytes(path, save(tensors, metadata={"occfusion": json.dumps(card | content)}))
 
 
@@ -61,7 +69,9 @@ def load_silhouette_net(path: str | Path | None = None) -> tuple[SilhouetteNet, 
             return load_silhouette_net(own)
     path = Path(path)
     if not path.is_file():
-        raise DataError(f"{path}: no such file; train a prior with `python train.py stage=prior`, or leave prior.weights unset")
+        raise DataError(
+            f"{path}: no such file; train a prior with `python train.py stage=prior`, or leave prior.weights unset"
+        )
     if path.stat().st_size > MAX_BYTES:
         raise DataError(f"{path}: {path.stat().st_size} bytes are too many for a silhouette prior")
     try:
@@ -71,9 +81,13 @@ def load_silhouette_net(path: str | Path | None = None) -> tuple[SilhouetteNet, 
         if card["network"] != "silhouette" or card["size"] != SIZE:
             raise KeyError("network")
         if digest(tensors) != card["sha256"]:
-            raise DataError(f"{path}: its values do not fit the hash in its card; the file is damaged, get it again")
+            raise DataError(
+                f"{path}: its values do not fit the hash in its card; the file is damaged, get it again"
+            )
         net = SilhouetteNet(tuple(int(width) for width in card["widths"]), int(card["depth"]))
         net.load_state_dict({name: value.float() for name, value in tensors.items()})
     except (SafetensorError, KeyError, ValueError, TypeError, RuntimeError) as error:
-        raise DataError(f"{path}: no silhouette prior of this version ({str(error).splitlines()[0]})") from error
+        raise DataError(
+            f"{path}: no silhouette prior of this version ({str(error).splitlines()[0]})"
+        ) from error
     return net.to(memory_format=torch.channels_last).eval().requires_grad_(False), card  # type: ignore[call-overload]

@@ -100,7 +100,10 @@ class InitStage(Stage):
             record["status"] = "completed" if visible.any() else "completed, nothing seen"
             record["added_pixels"] = int((mask & ~visible).sum())
             (self.folder / UNCERTAINTY).mkdir(parents=True, exist_ok=True)
-            write_png(self.folder / UNCERTAINTY / f"{_name(frame.index)}.png", np.uint8(255.0 * uncertainty + 0.5))
+            write_png(
+                self.folder / UNCERTAINTY / f"{_name(frame.index)}.png",
+                (255.0 * uncertainty + 0.5).astype(np.uint8),
+            )
         else:
             mask = visible
             record["status"] = "passed through"
@@ -158,9 +161,9 @@ class InitStage(Stage):
         for before, now in zip(self.moments[:-1], self.moments[1:], strict=True):
             if not now.evidence.occluded:
                 continue
-            masks = [read_mask(mask_path(self.folder, moment.frame)) for moment in (now, before)]
-            flow = body_flow(now.motion, before.motion, faces, *masks[0].shape)
-            scores.append(warped_iou(*masks, flow, ~now.evidence.background))
+            mask, earlier = (read_mask(mask_path(self.folder, moment.frame)) for moment in (now, before))
+            flow = body_flow(now.motion, before.motion, faces, *mask.shape)
+            scores.append(warped_iou(mask, earlier, flow, ~now.evidence.background))
         known = [score for score in scores if score is not None]
         return float(np.mean(known)) if known else None
 

@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from occfusion.priors.batches import Batch
 from occfusion.priors.diffusion import diffuse, velocity
 from occfusion.priors.silhouette import SilhouetteNet
-from occfusion.priors.training import Batch
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
 from occfusion.stages.settings import PriorTrainingSettings
 
@@ -53,6 +53,10 @@ class PriorStage(Stage):
         """Returns AdamW; the rate follows a cosine after a warm-up."""
         groups = [{"params": list(self.net.parameters()), "name": "net"}]
         return torch.optim.AdamW(groups, lr=self.settings.rate, weight_decay=1e-3, betas=(0.9, 0.99))
+
+    def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
+        """Returns the batch on `device` (Lightning does not enter frozen records by itself)."""
+        return Batch(batch.clean.to(device), batch.conditions.to(device), batch.weight.to(device))
 
     def on_train_start(self) -> None:
         """Starts the training clock."""
