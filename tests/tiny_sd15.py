@@ -1,9 +1,15 @@
-"""Random models of the kinds that `prior=sd15` loads, as small as their classes allow."""
+"""Random models of the kinds that `prior=sd15` loads, as small as their classes allow, laid out as they are published.
+
+What today's libraries save differs from what lies in the published folders: names of tensors and of files, classes
+that are gone, half precision. The functions here undo that, so that loading is tested on the older layout.
+"""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import torch
+from safetensors.torch import load_file, save_file
 
 CHANNELS = (8, 16)
 WORDS = ["<|startoftext|>", "<|endoftext|>", "l", "o", "w", "l</w>", "o</w>", "w</w>", "lo", "low</w>"]
@@ -11,7 +17,7 @@ WORDS = ["<|startoftext|>", "<|endoftext|>", "l", "o", "w", "l</w>", "o</w>", "w
 
 def write_tiny_inpainting(folder: Path, seed: int = 0) -> None:
     """Writes an inpainting pipeline without a safety checker."""
-    from diffusers import AutoencoderKL, PNDMScheduler, StableDiffusionInpaintPipeline, UNet2DConditionModel
+    from diffusers import AutoencoderKL, DDIMScheduler, StableDiffusionInpaintPipeline, UNet2DConditionModel
     from transformers import CLIPTextConfig, CLIPTextModel, CLIPTokenizer
 
     torch.manual_seed(seed)
@@ -37,15 +43,31 @@ def write_tiny_inpainting(folder: Path, seed: int = 0) -> None:
         block_out_channels=(8, 8, 8, 8), in_channels=3, out_channels=3, latent_channels=4, norm_num_groups=4,
         down_block_types=["DownEncoderBlock2D"] * 4, up_block_types=["UpDecoderBlock2D"] * 4,
     )  # fmt: skip
-    scheduler = PNDMScheduler(
-        beta_start=0.00085, beta_end=0.012, beta_schedule="scaled_linear", steps_offset=1, skip_prk_steps=True
-    )
+    scheduler = DDIMScheduler(
+        beta_start=0.00085, beta_end=0.012, beta_schedule="scaled_linear", steps_offset=1, clip_sample=False,
+        set_alpha_to_one=False,
+    )  # fmt: skip
     pipeline = StableDiffusionInpaintPipeline(
         vae=vae, text_encoder=text, tokenizer=tokenizer, unet=unet, scheduler=scheduler, safety_checker=None,
         feature_extractor=None, requires_safety_checker=False,
     )  # fmt: skip
-    # as the published folder has them: half precision only
-    pipeline.to(torch.float16).save_pretrained(folder, safe_serialization=True, variant="fp16")
+    for part in (unet, vae, text):
+        part.to(torch.float16)
+    pipeline.save_pretrained(folder, safe_serialization=True, variant="fp16")
+    weights = folder / "text_encoder" / "model.fp16.safetensors"
+    tensors = {f"text_model.{name}": tensor for name, tensor in load_file(weights).items()}
+    tensors["text_model.embeddings.position_ids"] = torch.arange(77)[None]
+    save_file(tensors, weights, metadata={"format": "pt"})
+    (folder / "tokenizer" / "tokenizer.json").unlink()
+    for name in ("vocab.json", "merges.txt"):
+        (vocabulary / name).rename(folder / "tokenizer" / name)
+    _edit(
+        folder / "model_index.json",
+        feature_extractor=["transformers", "CLIPFeatureExtractor"],
+        safety_checker=["stable_diffusion", "StableDiffusionSafetyChecker"],
+        image_encoder=None,
+        requires_safety_checker=None,
+    )
 
 
 def write_tiny_controlnet(folder: Path, seed: int = 1) -> None:
@@ -88,6 +110,16 @@ def write_tiny_segmenter(folder: Path, seed: int = 2) -> None:
     size = {"height": 64, "width": 64}
     processor = SamImageProcessorPil(size={"longest_edge": 64}, pad_size=size, mask_size={"longest_edge": 16})
     SamHQProcessor(processor).save_pretrained(folder)
+    saved = json.loads((folder / "processor_config.json").read_text())
+    (folder / "processor_config.json").unlink()
+    older = {**saved["image_processor"], "processor_class": "SamHQProcessor"}
+    (folder / "preprocessor_config.json").write_text(json.dumps(older))
+
+
+def _edit(path: Path, **changes: Any) -> None:
+    """Changes keys of a JSON file; None takes a key out."""
+    content = {**json.loads(path.read_text()), **changes}
+    path.write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
 
 
 def write_tiny_models(root: Path) -> dict[str, str]:

@@ -24,21 +24,28 @@ class ModelKind:
         published: id of the model that the paper used.
         files: files that must be there; of each entry, one that older or newer libraries write.
         weights: stems of weight files; each is there as `stem.safetensors`, `stem.fp16.safetensors` or in shards.
-        license: what errors say of its licence.
+        about: what errors say of the published one: size and licence.
     """
 
     setting: str
     published: str
     files: tuple[tuple[str, ...], ...]
     weights: tuple[str, ...]
-    license: str
+    about: str
 
     @property
     def patterns(self) -> list[str]:
-        """Returns the files that are downloaded: settings, vocabularies, and safetensors where they belong."""
-        folders = sorted({str(Path(path).parent) for path in (*sum(self.files, ()), *self.weights)})
-        prefixes = ["" if folder == "." else f"{folder}/" for folder in folders]
-        return [f"{prefix}{name}" for prefix in prefixes for name in ("*.json", "*.txt", "*.safetensors")]
+        """Returns the files that are downloaded: settings, vocabularies, and safetensors where they belong.
+
+        The hub's `*` goes beyond a slash, so those at the root are named.
+        """
+        paths = [Path(path) for path in (*sum(self.files, ()), *self.weights)]
+        found = [path.name for path in map(Path, sum(self.files, ())) if path.parent == Path()]
+        for stem in (path.name for path in map(Path, self.weights) if path.parent == Path()):
+            found += [f"{stem}*.safetensors", f"{stem}*.index.json"]
+        for folder in sorted({str(path.parent) for path in paths} - {"."}):
+            found += [f"{folder}/*.{ending}" for ending in ("json", "txt", "safetensors")]
+        return found
 
 
 INPAINTING = ModelKind(
@@ -50,21 +57,21 @@ INPAINTING = ModelKind(
         ("tokenizer/vocab.json", "tokenizer/tokenizer.json"),
     ),
     ("unet/diffusion_pytorch_model", "vae/diffusion_pytorch_model", "text_encoder/model"),
-    "CreativeML OpenRAIL-M",
+    "2.1 GB, licence CreativeML OpenRAIL-M",
 )
 CONTROLNET = ModelKind(
     "prior.controlnet",
     "lllyasviel/sd-controlnet-openpose",
     (("config.json",),),
     ("diffusion_pytorch_model",),
-    "OpenRAIL",
+    "1.4 GB, licence OpenRAIL",
 )
 SEGMENTER = ModelKind(
     "prior.segmenter",
     "syscv-community/sam-hq-vit-huge",
     (("config.json",), ("preprocessor_config.json", "processor_config.json")),
     ("model",),
-    "Apache-2.0",
+    "2.6 GB, licence Apache-2.0",
 )
 
 
@@ -118,7 +125,7 @@ def advice(kind: ModelKind, source: str, revision: str | None) -> str:
     excluded = ["*.bin", "*.ckpt", *(["safety_checker/*"] if kind is INPAINTING else [])]
     options = [f"--revision {at}"] * bool(at) + [f'--exclude "{pattern}"' for pattern in excluded]
     return (
-        f"Get it (licence: {kind.license}) with: hf download {wanted} {' '.join(options)} -- or have the run "
+        f"Get it ({kind.about}) with: hf download {wanted} {' '.join(options)} -- or have the run "
         f"download it: {kind.setting}={wanted} prior.local_files_only=false; or name a folder that holds it. "
         f"prior=embedded needs no download"
     )

@@ -176,7 +176,7 @@ def frame_seed(seed: int, name: str) -> int:
 def _device(settings: Sd15Settings, default: torch.device | str) -> torch.device:
     """Returns where the models run."""
     try:
-        device = torch.device(settings.device or default)
+        device = torch.device(default if settings.device is None else settings.device)
     except RuntimeError as error:
         raise ConfigError(
             f"setting prior.device={settings.device!r}: {str(error).splitlines()[0]}"

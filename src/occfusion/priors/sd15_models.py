@@ -94,7 +94,9 @@ def _load(kind: Any, model: ModelKind, folder: Path, dtype: torch.dtype, subfold
         )  # fmt: skip
         lacking = [*report["missing_keys"], *report["mismatched_keys"]]
         if lacking:
-            raise ValueError(f"its weights lack {len(lacking)} tensors of a {kind.__name__}, first {lacking[0]}")
+            raise ValueError(
+                f"its weights lack {len(lacking)} tensors of a {kind.__name__}, first {lacking[0]}"
+            )
     return network.eval()
 
 
