@@ -10,7 +10,7 @@ FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def square(x: float, y: float, side: float = 30.0) -> Motion:
-    corners = np.array([[0, 0], [side, 0], [side, side], [0, side]], float) + (x, y)
+    corners = np.array([[0, 0], [side, 0], [side, side], [0, side]], float) + np.array([x, y])
     return Motion(corners, np.full(4, 2.0))
 
 

@@ -1,6 +1,7 @@
 """The sampler against problems whose posterior is known in closed form."""
 
 import math
+from itertools import pairwise
 
 import pytest
 import torch
@@ -55,7 +56,7 @@ def test_deterministic_sampler_is_the_map_between_gaussians() -> None:
 def test_sampler_converges_at_first_order() -> None:
     noise = torch.linspace(-2, 2, 9, dtype=torch.float64).reshape(1, 1, 3, 3)
     errors = [float((sample(gaussian_v, noise, n) - MEAN - SPREAD * noise).abs().max()) for n in (20, 40, 80)]
-    for coarse, fine in zip(errors[:-1], errors[1:], strict=True):
+    for coarse, fine in pairwise(errors):
         assert 1.6 < coarse / fine < 2.6
 
 

@@ -153,7 +153,29 @@ def test_depth_sort_is_stable_and_complete() -> None:
     splats[:, REACH] = generator.random(5000) < 0.9
     visible = np.flatnonzero(splats[:, REACH])
     expected = visible[np.argsort(splats[visible, DEPTH], kind="stable")]
-    assert np.array_equal(sort_by_depth(splats), expected)
+    means = np.zeros((5000, 3), np.float32)
+    means[:, 2] = splats[:, DEPTH]
+    assert np.array_equal(sort_by_depth(splats, means, looking_along_z()), expected)
+
+
+def looking_along_z() -> np.ndarray:
+    camera = np.zeros(23)
+    camera[[0, 4, 8]] = 1.0
+    return camera
+
+
+def test_depths_that_rounding_makes_equal_are_told_apart() -> None:
+    generator = np.random.default_rng(0)
+    means = np.zeros((3000, 3), np.float32)
+    means[:, 0] = generator.normal(size=3000)
+    means[:, 2] = 3.0
+    camera = looking_along_z()
+    camera[6] = 1e-9  # a camera turned by so little that single precision does not see it
+    splats = np.zeros((3000, SPLAT_SIZE), np.float32)
+    splats[:, DEPTH] = means[:, 2]
+    splats[:, REACH] = 1.0
+    exact = 1e-9 * means[:, 0].astype(np.float64) + 3.0
+    assert np.array_equal(sort_by_depth(splats, means, camera), np.argsort(exact, kind="stable"))
 
 
 def test_it_is_what_auto_means_on_a_cpu() -> None:

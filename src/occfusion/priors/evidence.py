@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
 
-CORE = 0.025
+CORE = 0.01
 """Of the person's size in the picture: how far inside the body's outline a pixel must lie to be surely the body."""
-REACH = 0.09
+REACH = 0.06
 """Of the same: how far from a hidden pixel clothes and hair may be hidden as well."""
-HIDDEN_SHARE = 0.02
+HIDDEN_SHARE = 0.03
 """Of the core: less hidden than this is put down to errors of pose and mask, and the person counts as whole."""
 
 

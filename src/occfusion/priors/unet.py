@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 TIME_FREQUENCIES = 16
 GROUPS = 8
+DETAIL_CHANNELS = 64
 
 
 class ResidualBlock(nn.Module):
@@ -76,6 +77,13 @@ class BlockUNet(nn.Module):
                 self.grow.append(nn.Conv2d(widths[level + 1], width, 1))
         self.leave = nn.Conv2d(widths[0], channels_out * block**2, 3, padding=1)
         nn.init.zeros_(self.leave.weight)
+        # single pixels do not fit through the first level's width: the last layers see the input once more
+        self.detail = nn.Sequential(
+            nn.Conv2d(widths[0] + channels_in * block**2, DETAIL_CHANNELS, 3, padding=1),
+            nn.SiLU(),
+            nn.Conv2d(DETAIL_CHANNELS, channels_out * block**2, 3, padding=1),
+        )
+        nn.init.zeros_(self.detail[-1].weight)  # type: ignore[arg-type]
 
     def forward(self, fine: Tensor, coarse: Tensor, t: Tensor) -> Tensor:
         """Returns v, `[B, channels_out, S, S]`.
@@ -86,10 +94,11 @@ class BlockUNet(nn.Module):
             t: diffusion time, `[B]`, 0..1.
         """
         time = self.time(_time_features(t))
-        x = self.enter(torch.cat([F.pixel_unshuffle(fine, self.block), coarse], dim=1))
+        blocks = F.pixel_unshuffle(fine, self.block)
+        x = self.enter(torch.cat([blocks, coarse], dim=1))
         kept: list[Tensor] = []
-        for level, blocks in enumerate(self.down):
-            for block in blocks:  # type: ignore[attr-defined]
+        for level, layers in enumerate(self.down):
+            for block in layers:  # type: ignore[attr-defined]
                 x = block(x, time)
             kept.append(x)
             if level < len(self.shrink):
@@ -100,7 +109,9 @@ class BlockUNet(nn.Module):
                 x = block(x, time)
             if level:
                 x = F.interpolate(self.grow[level - 1](x), scale_factor=2.0, mode="nearest")
-        return F.pixel_shuffle(self.leave(F.silu(x)), self.block)
+        x = F.silu(x)
+        out = self.leave(x) + self.detail(torch.cat([x, blocks], dim=1))
+        return F.pixel_shuffle(out, self.block)
 
 
 def _time_features(t: Tensor) -> Tensor:

@@ -31,6 +31,8 @@ class Splats:
         opacities: `[V]`, with the anti-aliasing compensation when asked.
         depths: camera z, `[V]`, metres.
         extents: half width and height of the box outside which alpha < alpha_min, `[V, 2]`, pixels.
+        exact_depths: camera z in double precision without gradient, `[V]`: what the order goes by, since
+            two splats that rounding exchanges change the gradients of all pixels under both.
     """
 
     index: Tensor
@@ -39,6 +41,7 @@ class Splats:
     opacities: Tensor
     depths: Tensor
     extents: Tensor
+    exact_depths: Tensor
 
 
 def project(request: Request) -> Splats:
@@ -85,7 +88,12 @@ def _project_rows(request: Request, index: Tensor) -> Splats:
         mass = (flat_det / det).clamp_min(COMPENSATION_FLOOR).sqrt()
         opacities = opacities * mass.to(z.dtype)
     extents = _extents(a, c, opacities, request.limits.alpha_min).to(z.dtype)
-    return Splats(index, means2d, factors, opacities, z, extents)
+    return Splats(index, means2d, factors, opacities, z, extents, _exact_depths(request))
+
+
+@torch.no_grad()
+def _exact_depths(request: Request) -> Tensor:
+    return request.means.double() @ request.viewmat[2, :3].double() + request.viewmat[2, 3].double()
 
 
 def _affine_rows(request: Request, x: Tensor, y: Tensor, z: Tensor) -> Tensor:

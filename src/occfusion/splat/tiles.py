@@ -48,7 +48,7 @@ def bin_splats(splats: Splats, crop: Box, size: int, alpha_min: float) -> TileLi
     """
     x, y, width, height = crop
     across, down = -(-width // size), -(-height // size)
-    order = torch.sort(splats.depths, stable=True).indices
+    order = torch.sort(splats.exact_depths, stable=True).indices
     centre, extent = splats.means2d[order], splats.extents[order]
     corner = centre.new_tensor([x + 0.5, y + 0.5])
     last_pixel = torch.tensor([width - 1, height - 1], device=centre.device)

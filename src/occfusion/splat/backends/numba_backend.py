@@ -153,7 +153,7 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
         inputs.colors, inputs.offsets, inputs.camera, window, inputs.options, inputs.degree, splats,
         radii.numpy(),
     )  # fmt: skip
-    order = sort_by_depth(splats)
+    order = sort_by_depth(splats, inputs.means, inputs.camera)
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     packed, ranks, starts, entries, slots = bin_splats(splats, order, x, y, across, down)
     lengths = np.diff(starts)

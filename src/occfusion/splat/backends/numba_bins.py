@@ -33,11 +33,12 @@ DIGIT_MASK = np.uint32((1 << RADIX_BITS) - 1)
 
 
 @kernel
-def sort_by_depth(splats: Any) -> Any:
+def sort_by_depth(splats: Any, means: Any, camera: Any) -> Any:
     """Returns the visible rows of `splats`, nearest first, equal depths in input order, int32 `[V]`.
 
     A radix sort of the bits of the depth: positive floats are ordered like their bits, and each pass
-    is stable.
+    is stable. Depths that only single precision makes equal are then put in order by their value in double
+    precision, from `means` `[N, 3]` and the `camera` of `pack_camera`.
     """
     visible = 0
     for i in range(splats.shape[0]):
@@ -70,6 +71,19 @@ def sort_by_depth(splats: Any) -> Any:
             keys[place] = bits[i]
         index, other = other, index
         bits, keys = keys, bits
+    first = 0
+    while first < visible:
+        end = first + 1
+        while end < visible and bits[end] == bits[first]:
+            end += 1
+        if end - first > 1:
+            exact = np.empty(end - first, np.float64)
+            for k in range(end - first):
+                i = index[first + k]
+                x, y, z = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+                exact[k] = camera[6] * x + camera[7] * y + camera[8] * z + camera[11]
+            index[first:end] = index[first:end][np.argsort(exact, kind="mergesort")]
+        first = end
     return index
 
 
