@@ -27,6 +27,9 @@ METRES_BELOW = 100.0
 NEAREST, FARTHEST = 0.1, 100.0
 """Plausible distances from camera to person, metres."""
 
+MAX_SHAPES = 300
+"""Most shape coefficients that a body of SMPL's family has."""
+
 PREVIEW = 128
 """Longer side, in pixels, at which the projected body is compared with the mask."""
 
@@ -49,6 +52,20 @@ def numbers(value: Any, size: int | tuple[int, ...], where: str) -> Array:
     if not np.isfinite(array).all():
         raise DataError(f"{where} holds NaN or infinite values.")
     return array.reshape(-1) if isinstance(size, int) else array
+
+
+def shape_numbers(value: Any, where: str) -> Array:
+    """Returns shape coefficients `[B]`, B from 1 to `MAX_SHAPES`.
+
+    Raises:
+        DataError: none or too many, not numbers, or not finite.
+    """
+    if isinstance(value, Unresolved):
+        raise DataError(f"{where} is a {value.name} that cannot be read safely: {value.reason}.")
+    count = int(np.size(value))
+    if not 1 <= count <= MAX_SHAPES:
+        raise DataError(f"{where} has {count} coefficients, expected 1 to {MAX_SHAPES} (usually 10).")
+    return numbers(value, count, where)
 
 
 def rotation(matrix: Array, where: str) -> Array:
@@ -96,6 +113,16 @@ def check_millimetres(translations: Array, where: str) -> None:
         raise DataError(
             f"{where}: the largest translation is {largest:.3g}; ZJU-MoCap gives T in millimetres, and this "
             "looks like metres. Multiply T by 1000."
+        )
+
+
+def check_metres(translations: Array, where: str) -> None:
+    """Raises DataError when camera translations `[C, 3]`, meant as metres, look like millimetres."""
+    largest = float(np.linalg.norm(translations, axis=-1).max(initial=0.0))
+    if largest > FARTHEST:
+        raise DataError(
+            f"{where}: the largest translation is {largest:.4g}; this layout has metres, and this looks like "
+            "millimetres. Divide it by 1000."
         )
 
 

@@ -37,6 +37,12 @@ KINDS = ("none", "strip", "box", "moving")
 _ZJU_NAME = re.compile(r"(?:CoreView_|my_)?(\d{3})\Z")
 
 
+def zju_subject(scene: str) -> str | None:
+    """Returns the number of a ZJU-MoCap subject from its folder's name, None for any other name."""
+    found = _ZJU_NAME.match(scene)
+    return found[1] if found else None
+
+
 @dataclass(frozen=True)
 class OcclusionSettings:
     """What is hidden from the training camera; held-out cameras see everything.
@@ -124,8 +130,7 @@ def _strip(
     settings: OcclusionSettings, silhouettes: Sequence[Silhouette], occluded: int, scene_name: str
 ) -> Box | None:
     picture = silhouettes[0]
-    known = _ZJU_NAME.match(scene_name)
-    table = STRIPS.get(known[1]) if known else None
+    table = STRIPS.get(zju_subject(scene_name) or "")
     mid: float | None = settings.mid if settings.mid is not None or table is None else table[0]
     width: float | None = settings.width if settings.width is not None or table is None else table[1]
     scale = picture.width / TABLE_WIDTH

@@ -84,7 +84,7 @@ def scan_people(scene: Scene, frames: Sequence[int], camera: int) -> list[Person
 def look_at_person(scene: Scene, frame: int, camera: int) -> Person:
     """Returns what the masks of one picture show."""
     files = scene.files(frame, camera)
-    masks = [read_mask(path) for path in files.masks]
+    masks = [read_mask(path, label=files.label) for path in files.masks]
     if len({mask.shape for mask in masks}) > 1:
         raise DataError(f"{files.masks[1]}: its size differs from that of {files.masks[0]}.")
     seen = Silhouette.of(np.logical_or.reduce(masks))
