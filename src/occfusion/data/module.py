@@ -185,6 +185,7 @@ class HumanDataModule(L.LightningDataModule):
         prepared, views, _ = self._open()
         shares, lens = prepared.visible_shares(), views.lens(prepared.camera)
         settings = repr((self.occlusion, self.image_size, prepared.train, prepared.test_views))
+        settings += survey.hidden_digest(prepared.hidden)
         selected = [*prepared.train_views, *prepared.test_views]
         return {
             "scene": prepared.scene.name,
@@ -197,7 +198,7 @@ class HumanDataModule(L.LightningDataModule):
             "size": list(lens.size),
             "occlusion": self.occlusion.kind,
             "occluded_frames": sum(share < 1.0 for share in shares),
-            "hidden_boxes": [None if box is None else list(box) for box in prepared.hidden],
+            "hidden_boxes": survey.hidden_boxes(prepared.hidden),
             "visible_share": {
                 str(frame): round(share, 4) for frame, share in zip(prepared.train, shares, strict=True)
             },

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from occfusion.data.lens import Lens
 from occfusion.data.scene import PictureFiles
-from occfusion.data.silhouette import bounding_box
+from occfusion.data.silhouette import Hidden, bounding_box
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.types import Box
@@ -98,7 +98,9 @@ class Packed:
         return torch.from_numpy(frame)
 
 
-def pack(files: PictureFiles, lens: Lens, hidden_box: Box | None = None, *, clean: bool = False) -> Packed:
+def pack(
+    files: PictureFiles, lens: Lens, hidden_part: Hidden | None = None, *, clean: bool = False
+) -> Packed:
     """Returns one moment, read from disk, cut out, undistorted and scaled.
 
     The cut is made at the stored size, so that edge pixels are the person blended onto black by coverage;
@@ -107,7 +109,7 @@ def pack(files: PictureFiles, lens: Lens, hidden_box: Box | None = None, *, clea
     Args:
         files: where it lies.
         lens: its camera.
-        hidden_box: simulated occlusion in pixels of the stored picture.
+        hidden_part: simulated occlusion in pixels of the stored picture.
         clean: a held-out view: the unoccluded picture is the observation.
 
     Raises:
@@ -128,10 +130,10 @@ def pack(files: PictureFiles, lens: Lens, hidden_box: Box | None = None, *, clea
         seen, visible = _cut(files.rgb, observed, lens), lens.mask(observed)
     if not clean and files.complete_mask is not None:
         hidden = complete & ~visible
-    if hidden_box is not None:
-        rectangle = lens.rectangle(hidden_box)
-        hidden = rectangle if hidden is None else hidden | rectangle
-        visible = visible & ~rectangle
+    if hidden_part is not None:
+        simulated = lens.hidden(hidden_part)
+        hidden = simulated if hidden is None else hidden | simulated
+        visible = visible & ~simulated
     box = bounding_box(complete | visible)
     x, y, w, h = box
     window = (slice(y, y + h), slice(x, x + w))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from occfusion.data import protocol, survey
 from occfusion.data.occlusion import OcclusionSettings, plan
 from occfusion.data.scene import Scene
+from occfusion.data.silhouette import Hidden
 from occfusion.errors import DataError
-from occfusion.types import Box
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Prepared:
     scene: Scene
     train: tuple[int, ...]
     people: tuple[survey.Person, ...]
-    hidden: tuple[Box | None, ...]
+    hidden: tuple[Hidden | None, ...]
     left_out: tuple[int, ...]
     test: tuple[int, ...]
     camera: int

@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from occfusion.data.scene import Scene
-from occfusion.data.silhouette import Silhouette
+from occfusion.data.silhouette import Hidden, Silhouette
 from occfusion.errors import DataError
 from occfusion.files.images import image_size, read_mask
-from occfusion.types import Box
 
 SCAN_THREADS = 2
 """Masks decode outside the interpreter's lock; more threads than this only help on larger machines."""
@@ -32,7 +31,7 @@ class Person:
     whole: Silhouette
     seen: Silhouette
 
-    def visible_share(self, hidden: Box | None) -> float:
+    def visible_share(self, hidden: Hidden | None) -> float:
         """Returns which share of the whole person is seen past real and simulated occluders."""
         total = int(self.whole.crop().sum())
         if total == 0:
@@ -106,3 +105,18 @@ def data_hash(scene: Scene, views: Iterable[tuple[int, int]], settings: str) -> 
         for path in scene.files(frame, camera).all():
             digest.update(f"{path.relative_to(scene.root)} {path.stat().st_size}\n".encode())
     return digest.hexdigest()[:16]
+
+
+def hidden_boxes(hidden: Iterable[Hidden | None]) -> list[list[int] | None]:
+    """Returns the rectangle around what is simulated to be hidden in each frame, None for nothing."""
+    boxes = [part.box if isinstance(part, Silhouette) else part for part in hidden]
+    return [None if box is None else list(box) for box in boxes]
+
+
+def hidden_digest(hidden: Iterable[Hidden | None]) -> str:
+    """Returns a fingerprint of hidden parts that are masks; empty where all are rectangles."""
+    masks = [part for part in hidden if isinstance(part, Silhouette)]
+    digest = hashlib.sha256()
+    for mask in masks:
+        digest.update(repr(mask.box).encode() + mask.bits.tobytes())
+    return digest.hexdigest() if masks else ""

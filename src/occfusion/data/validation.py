@@ -8,7 +8,6 @@ from occfusion.data import checks, survey
 from occfusion.data.posing import Poser
 from occfusion.data.prepare import Prepared
 from occfusion.data.scene import Array
-from occfusion.data.silhouette import Silhouette
 from occfusion.data.views import Views
 from occfusion.errors import DataError
 
@@ -75,7 +74,7 @@ def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[st
         frame, person = prepared.train[position], prepared.people[position].whole
         vertices, _ = poser.pose(views.parameters(frame))
         checks.check_in_view(vertices, camera, (person.width, person.height), f"{where}, frame {frame}")
-        overlaps[frame], share = checks.mask_overlap(vertices, camera, _spread(person))
+        overlaps[frame], share = checks.mask_overlap(vertices, camera, person.full())
         inside.append(share)
     if np.mean(inside) < MISSED:
         raise DataError(
@@ -101,7 +100,7 @@ def _held_out_doubts(prepared: Prepared, views: Views, poser: Poser) -> list[str
     for index in prepared.cameras:
         person = survey.look_at_person(prepared.scene, frame, index).whole
         camera = prepared.scene.calibration(index)
-        overlap, _ = checks.mask_overlap(vertices, camera, _spread(person))
+        overlap, _ = checks.mask_overlap(vertices, camera, person.full())
         if overlap < DOUBTFUL_OVERLAP and not person.empty:
             doubtful.append(camera.name)
     if not doubtful:
@@ -112,11 +111,3 @@ def _held_out_doubts(prepared: Prepared, views: Views, poser: Poser) -> list[str
         f"{DOUBTFUL_OVERLAP}) in {len(doubtful)} of {len(prepared.cameras)} held-out cameras: {names}. "
         "Check their R and T."
     ]
-
-
-def _spread(person: Silhouette) -> np.ndarray:
-    """Returns the mask of the whole picture, bool `[H, W]`."""
-    mask = np.zeros((person.height, person.width), dtype=bool)
-    x, y, w, h = person.box
-    mask[y : y + h, x : x + w] = person.crop()
-    return mask
