@@ -10,6 +10,7 @@ from occfusion.errors import OccfusionError
 
 VERBS = {
     "synth": "write an embedded scene to disk in ZJU-MoCap's layout",
+    "check": "inspect a data folder: what is there, what is wrong with it, what to do",
     "render": "render a trained run along a path of cameras",
     "bench": "speed and error of the rasteriser and of the parts of a training step",
 }

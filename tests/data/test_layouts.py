@@ -182,3 +182,37 @@ def test_the_wanted_person_of_several(written, source):
         opened("chomp", written["chomp"], source, person=4).validate()
     with pytest.raises(ConfigError, match=r"dataset.scene='0099': the annotations have 0001_01, 0013_02"):
         OcMotionDataModule(written["chomp"], "0099", source.body).validate()
+
+
+@pytest.mark.parametrize("kind", ["w2a", "video"])
+def test_how_much_is_hidden_is_estimated_from_the_body(kind, source, tmp_path):
+    path = (
+        writers.write_w2a(source, tmp_path) if kind == "w2a" else writers.write_video(source, tmp_path / "v")
+    )
+    clear = opened(kind, path, source).summary()
+    assert clear["visible_share_is"] == "estimated" and clear["occluded_frames"] == 0, clear
+    mask = sorted((path / "masks").iterdir())[2]
+    stored = cv2.imread(str(mask))
+    stored[SIZE // 2 :] = 0
+    cv2.imwrite(str(mask), stored)
+    hidden = opened(kind, path, source)
+    hidden.validate()
+    shares = list(hidden.summary()["visible_share"].values())
+    assert hidden.summary()["occluded_frames"] == 1 and shares[2] < 0.75 < 0.9 < min(shares[:2] + shares[3:])
+
+
+def test_masks_that_cannot_mean_a_person_are_reported(source, tmp_path):
+    path = writers.write_video(source, tmp_path / "v")
+    for mask in (path / "masks").iterdir():
+        cv2.imwrite(str(mask), 255 - cv2.imread(str(mask)))
+    data = opened("video", path, source)
+    with pytest.raises(DataError, match="misses the person's mask"):
+        data.validate()
+    for number, mask in enumerate(sorted((path / "masks").iterdir())):
+        picture = source.mask(number) * np.uint8(255)
+        cv2.imwrite(str(mask), np.full_like(picture, 255) if number == 1 else picture)
+    data = opened("video", path, source)
+    data.validate()
+    assert any(
+        "more than 90% of the picture in 1 frames, first 1; is it inverted" in f for f in data.findings
+    )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -13,6 +15,8 @@ from occfusion.errors import DataError
 from occfusion.files.resolve import Unresolved
 
 Array = NDArray[np.float64]
+
+_log = logging.getLogger(__name__)
 
 REPAIRABLE = 1e-3
 """A rotation this near to orthonormal has lost digits in writing; it is replaced by the nearest rotation."""
@@ -29,9 +33,6 @@ NEAREST, FARTHEST = 0.1, 100.0
 
 MAX_SHAPES = 300
 """Most shape coefficients that a body of SMPL's family has."""
-
-PREVIEW = 128
-"""Longer side, in pixels, at which the projected body is compared with the mask."""
 
 
 def numbers(value: Any, size: int | tuple[int, ...], where: str) -> Array:
@@ -86,8 +87,21 @@ def rotation(matrix: Array, where: str) -> Array:
         )
     if error < _EXACT:
         return matrix
+    _report_repair(where, error)
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ right)
+
+
+@lru_cache(maxsize=256)
+def _report_repair(where: str, error: float) -> None:
+    """Says once for each place that digits were lost."""
+    _log.warning("%s: R R^T differs from 1 by %.1g; replaced by the nearest rotation.", where, error)
+
+
+def turn_between(first: Array, second: Array) -> float:
+    """Returns the angle between two axis-angle rotations `[3]`, radians, 0 to pi."""
+    a, b = (cv2.Rodrigues(np.asarray(v, dtype=np.float64).reshape(3, 1))[0] for v in (first, second))
+    return float(np.arccos(np.clip((np.trace(a.T @ b) - 1) / 2, -1.0, 1.0)))
 
 
 def check_intrinsics(K: Array, size: tuple[int, int], where: str) -> None:
@@ -157,23 +171,3 @@ def check_in_view(vertices: Array, camera: Calibration, size: tuple[int, int], w
             f"{where}: the body projects to about ({x:.0f}, {y:.0f}), outside camera {camera.name}'s picture "
             f"of {size[0]} x {size[1]}. Check the unit of T (millimetres), K, and Rh and Th."
         )
-
-
-def mask_overlap(vertices: Array, camera: Calibration, mask: NDArray[np.bool_]) -> tuple[float, float]:
-    """Returns how well the projected body fits a mask, estimated on a small preview from the vertices.
-
-    Returns:
-        The IoU, and the share of the mask that lies inside the body (high for partly hidden people too).
-    """
-    height, width = mask.shape
-    scale = min(PREVIEW / max(width, height), 1.0)
-    small = (max(round(width * scale), 1), max(round(height * scale), 1))
-    person = cv2.resize(mask.astype(np.uint8) * 255, small, interpolation=cv2.INTER_AREA) >= 128
-    pixels, depth = project(vertices, camera)
-    place = np.floor(pixels[depth > 0] * scale).astype(np.int64)
-    place = place[(place >= 0).all(axis=1) & (place < np.array(small)).all(axis=1)]
-    body = np.zeros(small[::-1], dtype=np.uint8)
-    body[place[:, 1], place[:, 0]] = 1
-    body = np.asarray(cv2.morphologyEx(body, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)))
-    union, both = int((person | (body > 0)).sum()), int((person & (body > 0)).sum())
-    return both / max(union, 1), both / max(int(person.sum()), 1)

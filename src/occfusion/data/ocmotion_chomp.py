@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -43,7 +43,7 @@ class ChompScene(Scene):
 
         Args:
             folder: the folder that holds `annot/`.
-            sequence: its name, a folder in the pictures' paths; or its number in the list.
+            sequence: its name: the folder above the cameras' in the pictures' paths, else as `train/3`.
             pelvis: gives the pelvis at rest, `[3]` in metres, for shape coefficients `[B]`.
             masks: mask folder.
             person: id of the person; the one in the most frames when None.
@@ -115,16 +115,24 @@ def sequence_name(cameras: Any) -> str:
     return parts[-3] if len(parts) >= 3 else ""
 
 
+def sequence_names(folder: Path) -> list[str]:
+    """Returns the names of all sequences in the annotations of a folder, in order."""
+    return [name for _, name, _ in _all(folder)]
+
+
+def _all(folder: Path) -> Iterator[tuple[Path, str, list[list[Mapping[str, Any]]]]]:
+    for file in (folder / "annot" / "train.pkl", folder / "annot" / "test.pkl"):
+        if file.is_file():
+            for number, cameras in enumerate(_sequences(load_pickle(file), file)):
+                yield file, sequence_name(cameras) or f"{file.stem}/{number}", cameras
+
+
 def _find(folder: Path, sequence: str) -> tuple[Path, list[list[Mapping[str, Any]]]]:
     names: list[str] = []
-    for file in (folder / "annot" / "train.pkl", folder / "annot" / "test.pkl"):
-        if not file.is_file():
-            continue
-        for number, cameras in enumerate(_sequences(load_pickle(file), file)):
-            name = sequence_name(cameras)
-            if sequence in (name, f"{file.stem}/{number}"):
-                return file, cameras
-            names.append(name or f"{file.stem}/{number}")
+    for file, name, cameras in _all(folder):
+        if sequence == name:
+            return file, cameras
+        names.append(name)
     if not names:
         raise DataError(f"{folder / 'annot'}: holds neither train.pkl nor test.pkl.")
     raise ConfigError(f"dataset.scene={sequence!r}: the annotations have {', '.join(names)[:400]}.")

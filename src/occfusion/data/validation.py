@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from occfusion.data import checks, survey
+from occfusion.data import checks, overlap, survey
 from occfusion.data.posing import Poser
 from occfusion.data.prepare import Prepared
 from occfusion.data.scene import Array
+from occfusion.data.silhouette import Silhouette
 from occfusion.data.views import Views
 from occfusion.errors import DataError
 
@@ -16,6 +19,9 @@ HEIGHT = (0.5, 3.0)
 
 CHECKED_FRAMES = 5
 """Frames whose projected body is compared with the mask."""
+
+FULL_MASK, TINY_MASK = 0.9, 0.002
+"""Shares of a picture above and below which a person's mask is doubtful."""
 
 DOUBTFUL_OVERLAP = 0.5
 """IoU of body and mask below which it is reported: a clothed person has 0.8 to 0.95."""
@@ -47,7 +53,36 @@ def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
         views.parameters(frame)
     _check_height(poser.rest_vertices(views.parameters(prepared.train[0]).betas), str(scene.root))
     doubts = [_left_out(prepared)] if prepared.left_out else []
+    doubts += mask_doubts(str(scene.root), prepared.train, [person.seen for person in prepared.people])
     return doubts + _check_projection(prepared, views, poser) + _held_out_doubts(prepared, views, poser)
+
+
+def estimated_shares(prepared: Prepared, views: Views, poser: Poser) -> list[float]:
+    """Returns which share of the projected body the mask of each training frame covers."""
+    camera = prepared.scene.calibration(prepared.camera)
+    return [
+        overlap.seen_share(poser.pose(views.parameters(frame))[0], camera, person.seen.full())
+        for frame, person in zip(prepared.train, prepared.people, strict=True)
+    ]
+
+
+def mask_doubts(where: str, frames: Sequence[int], people: Sequence[Silhouette]) -> list[str]:
+    """Returns what is odd about the masks of some frames, one sentence each: full, tiny, in pieces."""
+    shares = [int(person.crop().sum()) / (person.width * person.height) for person in people]
+    doubts = []
+    full = [frame for frame, share in zip(frames, shares, strict=True) if share > FULL_MASK]
+    if full:
+        doubts.append(
+            f"{where}: the mask covers more than {FULL_MASK:.0%} of the picture in {len(full)} frames, first "
+            f"{full[0]}; is it inverted (person 0, background 255)?"
+        )
+    tiny = [frame for frame, share in zip(frames, shares, strict=True) if 0 < share < TINY_MASK]
+    if tiny:
+        doubts.append(
+            f"{where}: the mask covers less than {TINY_MASK:.1%} of the picture in {len(tiny)} frames, first "
+            f"{tiny[0]}; is somebody in them? Leave them out with dataset.train_frames if not."
+        )
+    return doubts
 
 
 def _left_out(prepared: Prepared) -> str:
@@ -74,7 +109,7 @@ def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[st
         frame, person = prepared.train[position], prepared.people[position].whole
         vertices, _ = poser.pose(views.parameters(frame))
         checks.check_in_view(vertices, camera, (person.width, person.height), f"{where}, frame {frame}")
-        overlaps[frame], share = checks.mask_overlap(vertices, camera, person.full())
+        overlaps[frame], share = overlap.mask_overlap(vertices, camera, person.full())
         inside.append(share)
     if np.mean(inside) < MISSED:
         raise DataError(
@@ -83,6 +118,14 @@ def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[st
             "(transposed?), T (millimetres), Rh and Th, and that the body file is the one the "
             "parameters were fitted with."
         )
+    if prepared.truth_unknown:  # what is hidden lowers the IoU of a perfect fit; the rest must be inside
+        if np.mean(inside) >= DOUBTFUL_OVERLAP:
+            return []
+        return [
+            f"{where}: only {np.mean(inside):.0%} of the visible mask is inside the projected body in camera "
+            f"{camera.name}, mean of {len(inside)} frames; a good fit has 85 %. Check the cameras, the "
+            "parameters, the body file, and that the masks are of the same person."
+        ]
     worst = min(overlaps, key=overlaps.__getitem__)
     if overlaps[worst] >= DOUBTFUL_OVERLAP:
         return []
@@ -100,8 +143,8 @@ def _held_out_doubts(prepared: Prepared, views: Views, poser: Poser) -> list[str
     for index in prepared.cameras:
         person = survey.look_at_person(prepared.scene, frame, index).whole
         camera = prepared.scene.calibration(index)
-        overlap, _ = checks.mask_overlap(vertices, camera, person.full())
-        if overlap < DOUBTFUL_OVERLAP and not person.empty:
+        fit, _ = overlap.mask_overlap(vertices, camera, person.full())
+        if fit < DOUBTFUL_OVERLAP and not person.empty:
             doubtful.append(camera.name)
     if not doubtful:
         return []
