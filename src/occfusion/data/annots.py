@@ -22,7 +22,6 @@ from occfusion.files.arrays import load_npy
 
 MILLIMETRES = 1000.0
 _CAMERA_KEYS = {"K": 9, "R": 9, "T": 3}
-_DISTORTION_SIZES = (4, 5, 8)
 
 
 class Annots:
@@ -57,9 +56,6 @@ class Annots:
             key: checks.numbers(self._cams[key][camera], size, self._at(key, camera))
             for key, size in _CAMERA_KEYS.items()
         }
-        distortion = np.asarray(self._cams["D"][camera])
-        if distortion.size not in _DISTORTION_SIZES:
-            raise DataError(f"{self._at('D', camera)} has {distortion.size} numbers, expected 5.")
         K = values["K"].reshape(3, 3).copy()
         K[:2, 2] += OPENCV_CENTRE
         return Calibration(
@@ -67,7 +63,7 @@ class Annots:
             K=K,
             R=checks.rotation(values["R"].reshape(3, 3), self._at("R", camera)),
             t=values["T"] / MILLIMETRES,
-            distortion=checks.numbers(distortion, distortion.size, self._at("D", camera)),
+            distortion=checks.distortion(self._cams["D"][camera], self._at("D", camera)),
         )
 
     def _at(self, key: str, camera: int) -> str:

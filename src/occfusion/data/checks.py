@@ -31,6 +31,9 @@ METRES_BELOW = 100.0
 NEAREST, FARTHEST = 0.1, 100.0
 """Plausible distances from camera to person, metres."""
 
+DISTORTION_COUNTS = (4, 5, 8)
+"""k1 k2 p1 p2, with k3, with k4 to k6."""
+
 MAX_SHAPES = 300
 """Most shape coefficients that a body of SMPL's family has."""
 
@@ -45,7 +48,7 @@ def numbers(value: Any, size: int | tuple[int, ...], where: str) -> Array:
         raise DataError(f"{where} is a {value.name} that cannot be read safely: {value.reason}.")
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise DataError(f"{where} holds no numbers.") from None
     fits = array.size == size if isinstance(size, int) else array.shape == size
     if not fits:
@@ -53,6 +56,14 @@ def numbers(value: Any, size: int | tuple[int, ...], where: str) -> Array:
     if not np.isfinite(array).all():
         raise DataError(f"{where} holds NaN or infinite values.")
     return array.reshape(-1) if isinstance(size, int) else array
+
+
+def count_of(value: Any) -> int:
+    """Returns how many entries a value has, 0 for lists that are no array because their rows differ."""
+    try:
+        return int(np.size(value))
+    except (TypeError, ValueError):
+        return 0
 
 
 def shape_numbers(value: Any, where: str) -> Array:
@@ -63,9 +74,21 @@ def shape_numbers(value: Any, where: str) -> Array:
     """
     if isinstance(value, Unresolved):
         raise DataError(f"{where} is a {value.name} that cannot be read safely: {value.reason}.")
-    count = int(np.size(value))
+    count = count_of(value)
     if not 1 <= count <= MAX_SHAPES:
         raise DataError(f"{where} has {count} coefficients, expected 1 to {MAX_SHAPES} (usually 10).")
+    return numbers(value, count, where)
+
+
+def distortion(value: Any, where: str) -> Array:
+    """Returns OpenCV's 4, 5 or 8 distortion coefficients.
+
+    Raises:
+        DataError: another number of them, not numbers, or not finite.
+    """
+    count = count_of(value)
+    if count not in DISTORTION_COUNTS:
+        raise DataError(f"{where} has {count} numbers, expected 5.")
     return numbers(value, count, where)
 
 

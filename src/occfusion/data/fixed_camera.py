@@ -88,15 +88,12 @@ class FixedCamera:
 
 def _lens(K: Any, distortion: Any, where: str) -> tuple[Array, Array]:
     matrix = checks.numbers(K, 9, f"{where}, intrinsics").reshape(3, 3)
-    bent = np.asarray(distortion)
-    if bent.size not in (0, 4, 5, 8):
-        raise DataError(f"{where}, distortions has {bent.size} numbers, expected 5.")
-    return matrix, checks.numbers(bent, bent.size, f"{where}, distortions")
+    return matrix, checks.distortion(distortion, f"{where}, distortions")
 
 
 def _extrinsics(value: Any, where: str) -> Array:
     label = f"{where}, extrinsics"
-    given = checks.numbers(value, 16 if np.size(value) == 16 else 12, label).reshape(-1, 4)
+    given = checks.numbers(value, 16 if checks.count_of(value) == 16 else 12, label).reshape(-1, 4)
     if len(given) == 4 and not np.allclose(given[3], (0, 0, 0, 1), atol=1e-5):
         raise DataError(
             f"{label} has the last row {given[3].tolist()}, not 0 0 0 1: is the matrix transposed?"

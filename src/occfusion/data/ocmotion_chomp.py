@@ -135,7 +135,9 @@ def _find(folder: Path, sequence: str) -> tuple[Path, list[list[Mapping[str, Any
         names.append(name)
     if not names:
         raise DataError(f"{folder / 'annot'}: holds neither train.pkl nor test.pkl.")
-    raise ConfigError(f"dataset.scene={sequence!r}: the annotations have {', '.join(names)[:400]}.")
+    raise ConfigError(
+        f"dataset.scene={sequence!r}: the annotations in {folder / 'annot'} have {', '.join(names)[:400]}."
+    )
 
 
 def _sequences(content: Any, file: Path) -> list[list[list[Mapping[str, Any]]]]:
