@@ -14,8 +14,9 @@ from data.layout_writers import Source
 from occfusion.__main__ import main
 from occfusion.data.convention import rotation_matrix
 from occfusion.data.findings import Finding, guarded, listed, worst
-from occfusion.data.fit import MISTAKES, inspect_fit
+from occfusion.data.fit import inspect_fit
 from occfusion.data.inspection import Look, inspect_bodies, inspect_cameras, inspect_masks
+from occfusion.data.mistakes import MISTAKES
 from occfusion.data.opening import open_folder
 from occfusion.data.posing import Poser
 from occfusion.errors import DataError

@@ -2,35 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 
 from occfusion.data import checks, overlap, survey
 from occfusion.data.findings import Finding, guarded, listed
 from occfusion.data.inspection import Look, vertices_of
+from occfusion.data.mistakes import explain
 from occfusion.data.scene import Array, Calibration
-from occfusion.data.validation import DOUBTFUL_OVERLAP, MISSED
+from occfusion.data.validation import DOUBTFUL_OVERLAP, JOINTS_INSIDE, MISSED
 from occfusion.errors import DataError
-
-JOINTS_INSIDE = 0.6
-"""Share of the joints inside the mask below which it is reported; unoccluded people have 0.9 to 1."""
-
-BETTER = 0.15
-"""By how much more IoU a mistake has to explain the data to be named."""
-
-FLIP = np.diag([1.0, -1.0, -1.0])
-
-MISTAKES: dict[str, Callable[[Calibration], Calibration]] = {
-    "R is transposed (camera to world)": lambda c: replace(c, R=c.R.T),
-    "R and T are the camera's place, not world to camera": lambda c: replace(c, R=c.R.T, t=-c.R.T @ c.t),
-    "T is the camera's centre": lambda c: replace(c, t=-c.R @ c.t),
-    "T is 1000 times too large (millimetres)": lambda c: replace(c, t=c.t / 1000),
-    "T is 1000 times too small (metres read as millimetres)": lambda c: replace(c, t=c.t * 1000),
-    "camera axes are OpenGL's (y up, z backward)": lambda c: replace(c, R=FLIP @ c.R, t=FLIP @ c.t),
-}
-"""Mistakes seen in data of this field, as what would undo them."""
 
 
 def inspect_fit(look: Look) -> list[Finding]:
@@ -68,7 +50,13 @@ def _fit(look: Look) -> Iterator[Finding]:
         f"IoU of projected body and mask {iou:.2f}, {inside:.0%} of the mask inside the body, the person "
         f"{away:.3g} m from the camera"
     )
-    explanation = "" if good else _explain(posed, whole, camera, float(iou))  # type: ignore[arg-type]
+    vertices = [posed[f][0] for f in frames]  # type: ignore[index]
+    explanation = (
+        ""
+        if good
+        else explain(vertices, [whole[f] for f in frames], camera)
+        or ("check R, T, K, Rh, Th, the body file, and that masks and parameters are of the same person")
+    )
     yield Finding("ok" if good else "error" if inside < MISSED else "doubt", "fit", text, explanation)
     joints = np.mean([overlap.joints_inside(posed[f][1], camera, whole[f]) for f in frames])  # type: ignore[index]
     fine = joints >= JOINTS_INSIDE or unknown
@@ -77,20 +65,6 @@ def _fit(look: Look) -> Iterator[Finding]:
         "" if fine else "check cameras, poses, and that mask and parameters are of the same person",
     )  # fmt: skip
     yield from _occlusion(look, frames, posed, camera, unknown)  # type: ignore[arg-type]
-
-
-def _explain(
-    posed: dict[int, tuple[Array, Array]], whole: dict[int, np.ndarray], camera: Calibration, iou: float
-) -> str:
-    best, reason = iou + BETTER, ""
-    for name, undo in MISTAKES.items():
-        undone = undo(camera)
-        score = np.mean([overlap.mask_overlap(posed[f][0], undone, whole[f])[0] for f in posed])
-        if score > best:
-            best, reason = float(score), name
-    if reason:
-        return f"it seems that {reason}: undone, the IoU is {best:.2f}"
-    return "check R, T, K, Rh, Th, the body file, and that masks and parameters are of the same person"
 
 
 def _occlusion(

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occfusion.data import checks, overlap, survey
+from occfusion.data.mistakes import explain
 from occfusion.data.posing import Poser
 from occfusion.data.prepare import Prepared
-from occfusion.data.scene import Array
+from occfusion.data.scene import Array, Calibration
 from occfusion.data.silhouette import Silhouette
 from occfusion.data.views import Views
 from occfusion.errors import DataError
@@ -25,6 +27,9 @@ FULL_MASK, TINY_MASK = 0.9, 0.002
 
 DOUBTFUL_OVERLAP = 0.5
 """IoU of body and mask below which it is reported: a clothed person has 0.8 to 0.95."""
+
+JOINTS_INSIDE = 0.6
+"""Share of the joints inside the mask below which it is reported; people in full view have 0.9 to 1."""
 
 MISSED = 0.1
 """Mean share of the mask inside the body below which the two cannot belong together."""
@@ -103,36 +108,56 @@ def _check_height(vertices: Array, where: str) -> None:
 def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
     where, camera = str(prepared.scene.root), prepared.scene.calibration(prepared.camera)
     chosen = np.linspace(0, len(prepared.train) - 1, CHECKED_FRAMES).round().astype(int)
-    overlaps: dict[int, float] = {}
-    inside = []
-    for position in sorted({int(index) for index in chosen}):
-        frame, person = prepared.train[position], prepared.people[position].whole
-        vertices, _ = poser.pose(views.parameters(frame))
-        checks.check_in_view(vertices, camera, (person.width, person.height), f"{where}, frame {frame}")
-        overlaps[frame], share = overlap.mask_overlap(vertices, camera, person.full())
-        inside.append(share)
-    if np.mean(inside) < MISSED:
+    positions = sorted({int(index) for index in chosen})
+    people = {prepared.train[k]: prepared.people[k].whole for k in positions}
+    posed = {frame: poser.pose(views.parameters(frame)) for frame in people}
+    masks = {frame: person.full() for frame, person in people.items()}
+    try:
+        for frame, person in people.items():
+            checks.check_in_view(
+                posed[frame][0], camera, (person.width, person.height), f"{where}, frame {frame}"
+            )
+    except DataError as error:
+        raise DataError(f"{error}{_explanation(posed, masks, camera)}") from None
+    fits = {frame: overlap.mask_overlap(posed[frame][0], camera, masks[frame]) for frame in people}
+    inside = float(np.mean([share for _, share in fits.values()]))
+    if inside < MISSED:
         raise DataError(
             f"{where}: the projected body misses the person's mask in camera {camera.name}: "
-            f"{np.mean(inside):.0%} of the mask is inside it, mean of {len(inside)} frames. Check R "
+            f"{inside:.0%} of the mask is inside it, mean of {len(people)} frames. Check R "
             "(transposed?), T (millimetres), Rh and Th, and that the body file is the one the "
-            "parameters were fitted with."
+            f"parameters were fitted with.{_explanation(posed, masks, camera)}"
         )
     if prepared.truth_unknown:  # what is hidden lowers the IoU of a perfect fit; the rest must be inside
-        if np.mean(inside) >= DOUBTFUL_OVERLAP:
+        if inside >= DOUBTFUL_OVERLAP:
             return []
         return [
-            f"{where}: only {np.mean(inside):.0%} of the visible mask is inside the projected body in camera "
-            f"{camera.name}, mean of {len(inside)} frames; a good fit has 85 %. Check the cameras, the "
-            "parameters, the body file, and that the masks are of the same person."
+            f"{where}: only {inside:.0%} of the visible mask is inside the projected body in camera "
+            f"{camera.name}, mean of {len(people)} frames; a good fit has 85 %. Check the cameras, the "
+            f"parameters, the body file, and that the masks are of the same person."
+            f"{_explanation(posed, masks, camera)}"
         ]
-    worst = min(overlaps, key=overlaps.__getitem__)
-    if overlaps[worst] >= DOUBTFUL_OVERLAP:
-        return []
-    return [
-        f"{where}, frame {worst}: projected body and mask overlap by only {overlaps[worst]:.2f} (IoU) in "
-        f"camera {camera.name}; a good fit has 0.8. Check the cameras, Rh, Th, the body file, the masks."
-    ]
+    worst = min(fits, key=lambda frame: fits[frame][0])
+    if fits[worst][0] < DOUBTFUL_OVERLAP:
+        return [
+            f"{where}, frame {worst}: projected body and mask overlap by only {fits[worst][0]:.2f} (IoU) in "
+            f"camera {camera.name}; a good fit has 0.8. Check the cameras, Rh, Th, the body file, the masks."
+            f"{_explanation(posed, masks, camera)}"
+        ]
+    joints = float(np.mean([overlap.joints_inside(posed[f][1], camera, masks[f]) for f in people]))
+    if joints < JOINTS_INSIDE:
+        return [
+            f"{where}: only {joints:.0%} of the joints lie inside the mask in camera {camera.name}, mean of "
+            f"{len(people)} frames; people in full view have 90 %. Check cameras, poses and masks."
+        ]
+    return []
+
+
+def _explanation(
+    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], camera: Calibration
+) -> str:
+    reason = explain([vertices for vertices, _ in posed.values()], list(masks.values()), camera)
+    return f" {reason[0].upper()}{reason[1:]}." if reason else ""
 
 
 def _held_out_doubts(prepared: Prepared, views: Views, poser: Poser) -> list[str]:

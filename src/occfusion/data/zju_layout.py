@@ -21,7 +21,7 @@ from occfusion.data.annots import Annots
 from occfusion.data.easymocap import read_body
 from occfusion.data.listing import MAX_DIGITS
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
-from occfusion.errors import ConfigError
+from occfusion.errors import ConfigError, DataError
 from occfusion.files.arrays import load_npy
 
 MASK_FOLDERS = ("mask", "mask_cihp", "schp")
@@ -80,6 +80,7 @@ class ZjuScene(Scene):
                 f"dataset.masks={masks!r}: choose {', '.join(MASK_FOLDERS)}, or several joined by +, "
                 "as in mask+mask_cihp."
             )
+        self._require_masks(masks)
         self._annots = Annots(folder / "annots.npy")
         self.num_frames = len(self._annots.pictures)
         self.cameras = self._annots.cameras
@@ -89,6 +90,15 @@ class ZjuScene(Scene):
         self._params = folder / (there or self._release.params)[0]
         self._numbers = [frame_number(row[0], position) for position, row in enumerate(self._annots.pictures)]
         self._has_truth = (folder / "mask_complete").is_dir()
+
+    def _require_masks(self, masks: str) -> None:
+        there = [name for name in MASK_FOLDERS if (self.root / name).is_dir()]
+        missing = [name for name in self._masks if name not in there]
+        if missing and there:
+            raise DataError(
+                f"{self.root}: has no folder {missing[0]} (dataset.masks={masks}); it has {', '.join(there)}: "
+                f"choose dataset.masks={'+'.join(there)}."
+            )
 
     def calibration(self, camera: int) -> Calibration:
         """Returns a camera in metres, with pixel centres at +0.5; its rotation is checked."""
