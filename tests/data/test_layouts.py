@@ -218,3 +218,26 @@ def test_masks_that_cannot_mean_a_person_are_reported(source, tmp_path):
     assert any(
         "more than 90% of the picture in 1 frames, first 1; is it inverted" in f for f in data.findings
     )
+
+
+@pytest.mark.parametrize("width", [72, 156])
+def test_poses_under_the_names_of_aist_and_amass(width, source, tmp_path):
+    path = writers.write_video(source, tmp_path / "v")
+    wanted = opened("video", path, source)
+    with np.load(path / "poses.npz") as archive:
+        values = dict(archive)
+    poses = np.zeros((FRAMES, width))
+    poses[:, :3], poses[:, 3:66] = values["global_orient"], values["body_pose"][:, :63]
+    if width == 72:
+        poses[:, 66:] = values["body_pose"][:, 63:]
+    np.savez(path / "poses.npz", poses=poses, trans=values["transl"], betas=values["betas"][0])
+    data = opened("video", path, source)
+    data.validate()
+    for frame in range(FRAMES):
+        a, b = wanted.pose(frame), data.pose(frame)
+        assert torch.equal(a.global_orient, b.global_orient) and torch.equal(a.transl, b.transl)
+        same = 69 if width == 72 else 63
+        assert torch.equal(a.body_pose[:same], b.body_pose[:same]) and torch.equal(a.betas, b.betas)
+    np.savez(path / "poses.npz", poses=poses[:, :50], trans=values["transl"], betas=values["betas"])
+    with pytest.raises(DataError, match=r"poses has shape \(5, 50\)"):
+        opened("video", path, source).validate()

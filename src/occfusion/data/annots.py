@@ -21,6 +21,9 @@ from occfusion.errors import DataError
 from occfusion.files.arrays import load_npy
 
 MILLIMETRES = 1000.0
+MAX_NAME, MAX_PATH = 250, 1000
+"""Longest name and path in bytes: file systems take 255, and 4096 with the folder in front."""
+
 _CAMERA_KEYS = {"K": 9, "R": 9, "T": 3}
 
 
@@ -101,11 +104,16 @@ def inside(name: Any, where: str) -> str:
     """Returns a relative path in POSIX form, once it is certain that it stays inside its folder.
 
     Raises:
-        DataError: it is absolute, goes up, or names nothing.
+        DataError: it is absolute, goes up, names nothing, or cannot be a file's name.
     """
     path = PurePosixPath(str(name).replace("\\", "/"))
+    shown = repr(str(name)[:80])
     if path.is_absolute() or ".." in path.parts or not path.name or "\0" in str(path):
-        raise DataError(f"{where} names {str(name)!r}, which leads out of the scene's folder.")
+        raise DataError(f"{where} names {shown}, which leads out of the scene's folder.")
+    sizes = [len(part.encode(errors="replace")) for part in path.parts]
+    broken = str(path).encode(errors="ignore") != str(path).encode(errors="surrogatepass")
+    if max(sizes) > MAX_NAME or sum(sizes) > MAX_PATH or broken:
+        raise DataError(f"{where} names {shown}, which cannot be a file's name.")
     return path.as_posix()
 
 

@@ -3,7 +3,7 @@
 | file | content |
 |---|---|
 | `cameras.npz` | `intrinsic` 3 x 3, `extrinsic` 4 x 4 (world to camera, metres; or one a frame), `height`, `width` |
-| `poses.npz` | `betas` 1 x B, `global_orient` N x 3, `body_pose` N x 69, `transl` N x 3: smplx, one row a picture |
+| `poses.npz` | `betas` 1 x B, `global_orient` N x 3, `body_pose` N x 69, `transl` N x 3: smplx, one row a picture; or `pose_table.py` |
 | `images/`, `masks/` | N pictures and their masks; partners have the same name or the same last number |
 
 Principal points count pixel centres as +0.5, as COLMAP's do; `poses_optimized.npz` is read where there is
@@ -21,13 +21,13 @@ from occfusion.data import checks
 from occfusion.data.fixed_camera import FixedCamera
 from occfusion.data.humannerf_layout import need
 from occfusion.data.listing import partners, pictures_in
+from occfusion.data.pose_table import WIDTHS, read_pose_table
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
 from occfusion.errors import DataError
 from occfusion.files.arrays import load_npz
 from occfusion.files.images import image_size
 
 POSE_FILES = ("poses.npz", "poses_optimized.npz")
-_WIDTHS = {"global_orient": 3, "body_pose": 69, "transl": 3}
 
 
 class VideoScene(Scene):
@@ -62,7 +62,7 @@ class VideoScene(Scene):
         self._names, self._pictures = list(images), list(images.values())
         self._masks = partners(self._names, pictures_in(folder / masks), folder / masks)
         self.num_frames, self.cameras = len(self._names), ("camera",)
-        self._poses = self._read_poses()
+        self._poses = read_pose_table(self._poses_file, self.num_frames, folder / "images")
         self._camera = self._read_camera()
 
     def calibration(self, camera: int) -> Calibration:
@@ -74,10 +74,10 @@ class VideoScene(Scene):
         where = f"{self._poses_file}, row {frame}"
         values = {
             key: checks.numbers(self._poses[key][frame], width, f"{where}, {key}")
-            for key, width in _WIDTHS.items()
+            for key, width in WIDTHS.items()
         }
         betas = self._poses["betas"]
-        betas = betas[frame if betas.ndim == 2 and len(betas) == self.num_frames else 0]
+        betas = betas[frame if len(betas) == self.num_frames else 0]
         betas = checks.shape_numbers(betas, f"{where}, betas")
         body = BodyParameters(betas, values["global_orient"], values["body_pose"], values["transl"])
         return self._camera.carry(frame, body, self._pelvis(betas))
@@ -92,24 +92,6 @@ class VideoScene(Scene):
     def evidence(self, frame: int) -> tuple[Path, ...]:
         """Returns the two tables."""
         return self.root / "cameras.npz", self._poses_file
-
-    def _read_poses(self) -> dict[str, np.ndarray]:
-        content = load_npz(self._poses_file)
-        where = str(self._poses_file)
-        poses = {key: need(content, key, where) for key in (*_WIDTHS, "betas")}
-        for key, width in _WIDTHS.items():
-            if poses[key].shape != (self.num_frames, width):
-                raise DataError(
-                    f"{where}, {key} has shape {poses[key].shape}, expected ({self.num_frames}, {width}): one row "
-                    f"for each of the {self.num_frames} pictures in {self.root / 'images'}."
-                )
-        if poses["betas"].ndim == 1:
-            poses["betas"] = poses["betas"][None]
-        if poses["betas"].ndim != 2 or len(poses["betas"]) not in (1, self.num_frames):
-            raise DataError(
-                f"{where}, betas has shape {poses['betas'].shape}, expected (1, 10): one person, one shape."
-            )
-        return poses
 
     def _read_camera(self) -> FixedCamera:
         file = self.root / "cameras.npz"
