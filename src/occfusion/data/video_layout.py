@@ -3,7 +3,7 @@
 | file | content |
 |---|---|
 | `cameras.npz` | `intrinsic` 3 x 3, `extrinsic` 4 x 4 (world to camera, metres; or one a frame), `height`, `width` |
-| `poses.npz` | `betas` 1 x B, `global_orient` N x 3, `body_pose` N x 69, `transl` N x 3: smplx, one row a picture; or `pose_table.py` |
+| `poses.npz` | `betas` 1 x B, `global_orient` N x 3, `body_pose` N x 69, `transl` N x 3, or as in `pose_table.py` |
 | `images/`, `masks/` | N pictures and their masks; partners have the same name or the same last number |
 
 Principal points count pixel centres as +0.5, as COLMAP's do; `poses_optimized.npz` is read where there is
