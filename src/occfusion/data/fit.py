@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occfusion.data import checks, overlap, survey
 from occfusion.data.findings import Finding, guarded, listed
-from occfusion.data.inspection import Look, vertices_of
+from occfusion.data.inspection import Look, posed_bodies
 from occfusion.data.mistakes import explain
 from occfusion.data.scene import Array, Calibration
 from occfusion.data.validation import DOUBTFUL_OVERLAP, JOINTS_INSIDE, MISSED
@@ -21,65 +22,66 @@ def inspect_fit(look: Look) -> list[Finding]:
 
 
 def _fit(look: Look) -> Iterator[Finding]:
-    camera = look.sound.get(look.camera)
-    frames = [f for f, person in look.people.items() if not person.seen.empty and f in look.bodies]
-    if camera is None or not frames:
+    camera, posed = look.sound.get(look.camera), posed_bodies(look)
+    if camera is None or not posed:
         yield Finding(
             "note", "fit", "not checked: it needs a sound camera, parameters and a mask of one frame"
         )
         return
-    posed = {frame: vertices_of(look, frame) for frame in frames}
-    whole = {frame: look.people[frame].whole.full() for frame in frames}
-    size = next(iter(whole.values())).shape[::-1]
-    outside = []
-    for frame, found in posed.items():
-        assert found is not None  # frames are those with parameters
-        try:
-            checks.check_in_view(found[0], camera, (size[0], size[1]), f"frame {frame}")
-        except DataError as error:
-            outside.append((frame, str(error)))
-    if outside:
-        level = "error" if len(outside) == len(frames) else "doubt"
-        yield Finding(level, "in view", f"{len(outside)} of {len(frames)} frames: {outside[0][1]}")
-    scores = [overlap.mask_overlap(posed[f][0], camera, whole[f]) for f in frames]  # type: ignore[index]
+    masks = {frame: look.people[frame].whole.full() for frame in posed}
+    yield from _in_view(posed, masks, camera)
+    bodies = {frame: vertices for frame, (vertices, _) in posed.items()}
+    scores = [overlap.mask_overlap(bodies[frame], camera, masks[frame]) for frame in posed]
     iou, inside = np.mean(scores, axis=0)
-    unknown = look.scene.files(frames[0], look.camera).truth_unknown
+    unknown = look.scene.files(next(iter(posed)), look.camera).truth_unknown
     good = (inside if unknown else iou) >= DOUBTFUL_OVERLAP
-    away = np.median([checks.project(posed[f][1], camera)[1].mean() for f in frames])  # type: ignore[index]
+    away = np.median([checks.project(joints, camera)[1].mean() for _, joints in posed.values()])
     text = (
         f"IoU of projected body and mask {iou:.2f}, {inside:.0%} of the mask inside the body, the person "
         f"{away:.3g} m from the camera"
     )
-    vertices = [posed[f][0] for f in frames]  # type: ignore[index]
-    explanation = (
-        ""
-        if good
-        else explain(vertices, [whole[f] for f in frames], camera)
-        or ("check R, T, K, Rh, Th, the body file, and that masks and parameters are of the same person")
-    )
-    yield Finding("ok" if good else "error" if inside < MISSED else "doubt", "fit", text, explanation)
-    joints = np.mean([overlap.joints_inside(posed[f][1], camera, whole[f]) for f in frames])  # type: ignore[index]
-    fine = joints >= JOINTS_INSIDE or unknown
+    cure = ""
+    if not good:
+        cure = explain(list(bodies.values()), list(masks.values()), camera) or (
+            "check R, T, K, Rh, Th, the body file, and that masks and parameters are of the same person"
+        )
+    yield Finding("ok" if good else "error" if inside < MISSED else "doubt", "fit", text, cure)
+    shares = [overlap.joints_inside(joints, camera, masks[frame]) for frame, (_, joints) in posed.items()]
+    joints_share = np.mean(shares)
+    fine = joints_share >= JOINTS_INSIDE or unknown
     yield Finding(
-        "ok" if fine else "doubt", "joints", f"{joints:.0%} of the joints are inside the mask",
+        "ok" if fine else "doubt", "joints", f"{joints_share:.0%} of the joints are inside the mask",
         "" if fine else "check cameras, poses, and that mask and parameters are of the same person",
     )  # fmt: skip
-    yield from _occlusion(look, frames, posed, camera, unknown)  # type: ignore[arg-type]
+    yield _occlusion(look, bodies, camera, unknown)
 
 
-def _occlusion(
-    look: Look, frames: list[int], posed: dict[int, tuple[Array, Array]], camera: Calibration, unknown: bool
+def _in_view(
+    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], camera: Calibration
 ) -> Iterator[Finding]:
+    outside = []
+    for frame, (vertices, _) in posed.items():
+        height, width = masks[frame].shape
+        try:
+            checks.check_in_view(vertices, camera, (width, height), f"frame {frame}")
+        except DataError as error:
+            outside.append(str(error))
+    if outside:
+        level = "error" if len(outside) == len(posed) else "doubt"
+        yield Finding(level, "in view", f"{len(outside)} of {len(posed)} frames: {outside[0]}")
+
+
+def _occlusion(look: Look, bodies: dict[int, Array], camera: Calibration, unknown: bool) -> Finding:
     if unknown:
-        shares = [overlap.seen_share(posed[f][0], camera, look.people[f].seen.full()) for f in frames]
+        shares = [overlap.seen_share(body, camera, look.people[f].seen.full()) for f, body in bodies.items()]
         how = "estimated from the projected body"
     else:
-        shares = [look.people[f].visible_share(None) for f in frames]
+        shares = [look.people[frame].visible_share(None) for frame in bodies]
         how = "from complete masks, or nothing is known to hide anything"
-    hidden = {f: 1 - s for f, s in zip(frames, shares, strict=True)}
+    hidden = {frame: 1 - share for frame, share in zip(bodies, shares, strict=True)}
     each = listed((f"{frame}: {share:.0%}" for frame, share in hidden.items()), 12)
-    text = f"hidden share by frame ({how}): {each}"
-    yield Finding("note" if max(hidden.values()) > 0 else "ok", "occlusion", text)
+    level = "note" if max(hidden.values()) > 0 else "ok"
+    return Finding(level, "occlusion", f"hidden share by frame ({how}): {each}")
 
 
 def inspect_other_cameras(look: Look) -> list[Finding]:

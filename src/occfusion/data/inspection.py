@@ -187,7 +187,10 @@ def inspect_masks(look: Look) -> list[Finding]:
     return guarded("masks", findings)
 
 
-def vertices_of(look: Look, frame: int) -> tuple[Array, Array] | None:
-    """Returns vertices and joints of a frame in the world, None where its parameters could not be read."""
-    body = look.bodies.get(frame)
-    return None if body is None else look.poser.pose(body)
+def posed_bodies(look: Look) -> dict[int, tuple[Array, Array]]:
+    """Returns vertices and joints in the world by frame, where mask and parameters could be read.
+
+    Each is `[V, 3]` and `[24, 3]`, metres.
+    """
+    frames = [f for f, person in look.people.items() if not person.seen.empty and f in look.bodies]
+    return {frame: look.poser.pose(look.bodies[frame]) for frame in frames}

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.data import checks, overlap
-from occfusion.data.inspection import Look, vertices_of
+from occfusion.data.inspection import Look, posed_bodies
+from occfusion.data.scene import Array
 from occfusion.errors import DataError
 from occfusion.files.images import read_rgb
 
@@ -23,25 +24,21 @@ def draw_overlay(look: Look) -> NDArray[np.uint8] | None:
 
     None where no frame has picture, mask, camera and parameters.
     """
-    camera = look.sound.get(look.camera)
-    frames = [
-        frame for frame, person in look.people.items() if not person.seen.empty and frame in look.bodies
-    ]
-    if camera is None or not frames:
+    posed = posed_bodies(look)
+    if look.camera not in look.sound or not posed:
         return None
+    frames = list(posed)
     chosen = sorted({frames[int(k)] for k in np.linspace(0, len(frames) - 1, COLUMNS).round()})
-    columns = [column for frame in chosen if (column := _column(look, frame)) is not None]
+    columns = [column for frame in chosen if (column := _column(look, frame, *posed[frame])) is not None]
     return np.concatenate(columns, axis=1) if columns else None
 
 
-def _column(look: Look, frame: int) -> NDArray[np.uint8] | None:
-    camera, found = look.sound[look.camera], vertices_of(look, frame)
+def _column(look: Look, frame: int, vertices: Array, joints: Array) -> NDArray[np.uint8] | None:
+    camera = look.sound[look.camera]
     try:
         picture = read_rgb(look.scene.files(frame, look.camera).rgb)
     except DataError:  # reported where the files are checked
         return None
-    assert found is not None  # frames are those with parameters
-    vertices, joints = found
     mask = look.people[frame].seen.full()
     scale = HEIGHT / picture.shape[0]
     size = (max(round(picture.shape[1] * scale), 1), HEIGHT)

@@ -18,6 +18,9 @@ from occfusion.files.images import image_size, read_mask
 SCAN_THREADS = 2
 """Masks decode outside the interpreter's lock; more threads than this only help on larger machines."""
 
+HASHED_AT_ONCE = 1 << 20
+"""Bytes read at a time: annotations of a whole data set can have half a gigabyte."""
+
 
 @dataclass(frozen=True)
 class Person:
@@ -101,7 +104,10 @@ def data_hash(scene: Scene, views: Iterable[tuple[int, int]], settings: str) -> 
         for path in scene.evidence(frame):
             if path not in read:
                 read.add(path)
-                digest.update(path.name.encode() + path.read_bytes())
+                digest.update(path.name.encode())
+                with path.open("rb") as stream:
+                    while part := stream.read(HASHED_AT_ONCE):
+                        digest.update(part)
         for path in scene.files(frame, camera).all():
             digest.update(f"{path.relative_to(scene.root)} {path.stat().st_size}\n".encode())
     return digest.hexdigest()[:16]
