@@ -20,7 +20,7 @@ from occfusion.data.ocmotion_w2a import W2aScene
 from occfusion.data.posing import RestBody
 from occfusion.data.prepare import Selection
 from occfusion.data.scene import Scene
-from occfusion.errors import ConfigError
+from occfusion.errors import ConfigError, DataError
 
 PAPER_SEQUENCES = ("0011_02_1", "0011_02_2", "0013_02", "0038_04", "0039_02", "0041_00")
 """The six sequences of the paper, in Wild2Avatar's cut: 100 frames each."""
@@ -97,6 +97,11 @@ class OcMotionDataModule(HumanDataModule):
             )
         cut = folder.with_name(f"{folder.name}_w2a")
         folder = cut if not folder.is_dir() and cut.is_dir() else folder
+        if not folder.is_dir():
+            raise DataError(
+                f"{folder}: no such folder, nor {cut.name}. The paper's sequences are {', '.join(PAPER_SEQUENCES)}, "
+                "each in a folder of its own or with _w2a at its end."
+            )
         find_layout(folder, ("w2a",))
         label = self._person if self._numbered else None
         return W2aScene(folder, self.poser.pelvis, self._masks or "masks", label)
