@@ -177,6 +177,10 @@ def test_the_wanted_person_of_several(written, source):
     assert not by_id.train_frame(0).visible_mask[:2, :2].any()
     everyone = opened("chomp", written["chomp"], source, numbered_masks=False)
     assert everyone.train_frame(0).visible_mask[:2, :2].all()
+    everyone.validate()
+    assert any("the people 7 are annotated beside person 1" in finding for finding in everyone.findings)
+    by_id.validate()
+    assert not by_id.findings
     assert opened("chomp", written["chomp"], source, person=7).train_indices == (0,)
     with pytest.raises(ConfigError, match=r"dataset.person=4: the sequence has the people 1, 7"):
         opened("chomp", written["chomp"], source, person=4).validate()

@@ -66,6 +66,13 @@ class ChompScene(Scene):
         self._base = folder / "images" if not (folder / self._path(0, 0)).exists() else folder
         self.num_frames = len(kept)
         self.cameras = tuple(self._path(0, c).parent.as_posix() for c in range(len(cameras)))
+        others = _people(cameras).keys() - {self._person}
+        if others and not numbered:
+            self.remarks = (
+                f"{self._file}, {sequence}: the people {', '.join(map(str, sorted(others)))} are annotated beside "
+                f"person {key}; masks must show {key} alone. If their values are the people's ids, set "
+                "dataset.numbered_masks=true and dataset.person.",
+            )
         self._rigs = [self._rig(camera) for camera in range(len(cameras))]
 
     def calibration(self, camera: int) -> Calibration:
@@ -156,11 +163,16 @@ def _sequences(content: Any, file: Path) -> list[list[list[Mapping[str, Any]]]]:
     return list(content)
 
 
-def _choose(cameras: list[list[Mapping[str, Any]]], person: int | None, file: Path) -> int:
-    people = Counter(
+def _people(cameras: list[list[Mapping[str, Any]]]) -> Counter[int]:
+    """Returns in how many frames each person is annotated, by id."""
+    return Counter(
         int(key) for frames in cameras for frame in frames for key, value in frame.items()
         if str(key).isdecimal() and len(str(key)) <= MAX_DIGITS and isinstance(value, Mapping)
     )  # fmt: skip
+
+
+def _choose(cameras: list[list[Mapping[str, Any]]], person: int | None, file: Path) -> int:
+    people = _people(cameras)
     if not people:
         raise DataError(f"{file}: no person is annotated in this sequence.")
     if person is None:

@@ -90,12 +90,16 @@ class PictureFiles:
 
 
 class Scene(ABC):
-    """An interface: one sequence of one person, seen by one or more cameras."""
+    """An interface: one sequence of one person, seen by one or more cameras.
+
+    `remarks` are sentences about the folder that the user should know of, one each.
+    """
 
     name: str
     root: Path
     num_frames: int
     cameras: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     @abstractmethod
     def calibration(self, camera: int) -> Calibration:
