@@ -17,6 +17,8 @@ from data import layout_writers as writers
 from data.layout_writers import Source
 from data.mutations import GADGETS, mutated_bytes, mutated_value
 from data.tiny_scene import TinyBody
+from files.test_bodyfile import content as body_content
+from files.test_bodyfile import official_pickle
 from occfusion.data.opening import open_folder
 from occfusion.data.posing import Poser
 from occfusion.errors import OccfusionError
@@ -120,9 +122,7 @@ def mutations(
     rng = np.random.default_rng([1, *kind.encode()])
     if kind == "body.pkl":
         path, folder = scratch / "body.pkl", scratch
-        values = {k: v[:300] if k in ("v_template", "weights") else v for k, v in with_arrays(
-            source.folder / "body.npz").items()}  # fmt: skip
-        whole = pickle.dumps(values, protocol=2)[:200_000]
+        whole = official_pickle(path, body_content(), 2).read_bytes()
 
         def read() -> None:
             load_body_arrays(path)
@@ -143,6 +143,7 @@ def mutations(
         def read() -> None:
             read_all(folder)
 
+    assert attempt(read, f"{kind}, undamaged", folder)  # else every refusal would be for another reason
     tried = sound = 0
     try:
         for number in range(count):

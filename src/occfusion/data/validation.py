@@ -29,7 +29,7 @@ DOUBTFUL_OVERLAP = 0.5
 """IoU of body and mask below which it is reported: a clothed person has 0.8 to 0.95."""
 
 JOINTS_INSIDE = 0.6
-"""Share of the joints inside the mask below which it is reported; people in full view have 0.9 to 1."""
+"""Share of the joints inside the mask below which it is reported; embedded people have 0.87 to 1."""
 
 MISSED = 0.1
 """Mean share of the mask inside the body below which the two cannot belong together."""
@@ -133,7 +133,7 @@ def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[st
             return []
         return [
             f"{where}: only {inside:.0%} of the visible mask is inside the projected body in camera "
-            f"{camera.name}, mean of {len(people)} frames; a good fit has 85 %. Check the cameras, the "
+            f"{camera.name}, mean of {len(people)} frames; embedded people have 80 % and more. Check the cameras, the "
             f"parameters, the body file, and that the masks are of the same person."
             f"{_explanation(posed, masks, camera)}"
         ]
@@ -148,7 +148,7 @@ def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[st
     if joints < JOINTS_INSIDE:
         return [
             f"{where}: only {joints:.0%} of the joints lie inside the mask in camera {camera.name}, mean of "
-            f"{len(people)} frames; people in full view have 90 %. Check cameras, poses and masks."
+            f"{len(people)} frames; embedded people in full view have 87 % and more. Check cameras, poses and masks."
         ]
     return []
 
