@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+from types import ModuleType
 
 from occfusion.errors import OccfusionError
 
 VERBS = {
     "synth": "write an embedded scene to disk in ZJU-MoCap's layout",
+    "check": "inspect a data folder: what is there, what is wrong with it, what to do",
+    "convert-body": "write a body of SMPL's family, as it was downloaded, into a safe file, once",
     "render": "render a trained run along a path of cameras",
     "bench": "speed and error of the rasteriser and of the parts of a training step",
 }
@@ -24,15 +27,19 @@ def main(arguments: list[str] | None = None) -> int:
         sub = verbs.add_parser(name, help=text, description=text)
         # a verb's module is imported only when that verb is asked for
         if arguments[:1] == [name]:
-            importlib.import_module(f"occfusion.cli.{name}").add_arguments(sub)
+            _module(name).add_arguments(sub)
     parsed = parser.parse_args(arguments)
     try:
-        return int(importlib.import_module(f"occfusion.cli.{parsed.verb}").run(parsed))
+        return int(_module(parsed.verb).run(parsed))
     except OccfusionError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
+
+
+def _module(verb: str) -> ModuleType:
+    return importlib.import_module(f"occfusion.cli.{verb.replace('-', '_')}")
 
 
 if __name__ == "__main__":

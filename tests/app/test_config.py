@@ -7,6 +7,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from occfusion.config import Settings, load_settings, settings_hash, stages_to_run
+from occfusion.data import OcclusionSettings
 from occfusion.errors import ConfigError
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -103,3 +104,16 @@ def test_a_prior_is_no_part_of_a_run_that_asks_none() -> None:
 
 def test_numbers() -> None:
     assert not math.isnan(settings_of().optim.lambda_rgb)
+
+
+@pytest.mark.parametrize("dataset", ["synthetic", "zju", "ocmotion", "video"])
+def test_every_dataset_lets_its_occlusion_be_set(dataset: str) -> None:
+    settings = settings_of(
+        f"dataset={dataset}", "dataset.occlusion.kind=polygons", "dataset.occlusion.seed=3"
+    )
+    assert settings.dataset["name"] == dataset
+    occlusion = OcclusionSettings.parse(settings.dataset["occlusion"])
+    assert (occlusion.kind, occlusion.seed) == ("polygons", 3)
+    defaults = OcclusionSettings.parse(settings_of(f"dataset={dataset}").dataset["occlusion"])
+    assert defaults == OcclusionSettings(defaults.kind)
+    assert settings_of(f"dataset={dataset}", "dataset.occlusion=none").dataset["occlusion"] == "none"

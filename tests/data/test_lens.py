@@ -74,7 +74,7 @@ def test_masks_are_majorities_and_rectangles_leak_nothing():
     mask[10:20, 10:21] = True  # columns 10..20: the last new column is half covered
     small = it.mask(mask)
     assert small[5:10, 5:11].all() and small.sum() == 5 * 6
-    hidden = it.rectangle((11, 0, 4, 64))  # columns 11..14 touch the new columns 5, 6, 7
+    hidden = it.hidden((11, 0, 4, 64))  # columns 11..14 touch the new columns 5, 6, 7
     assert hidden[:, 5:8].all() and hidden.sum() == 3 * 32
 
 

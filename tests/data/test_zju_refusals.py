@@ -282,3 +282,16 @@ def test_one_frame_and_one_camera(tmp_path):
     data.validate()
     assert len(data.train_indices) == 1 and data.test_views == () and list(data.test_dataloader()) == []
     assert data.frame_at(0).name == data.frame_at(7).name
+
+
+def test_a_mask_folder_that_is_not_there(scene):
+    refused(scene, "has no folder mask_cihp", "choose dataset.masks=mask.", masks="mask+mask_cihp")
+
+
+def test_the_mistake_that_explains_a_miss_is_named(scene):
+    content = scene.annots()
+    content["cams"]["T"] = [-1000 * (R.T @ T)[:, None] for R, T in zip(scene.R, scene.T, strict=True)]
+    scene.save_annots(content)
+    data = ZjuDataModule(scene.root, scene.name, scene.body, occlusion="none")
+    data.validate()
+    assert any("It seems that T is the camera's centre: undone, the IoU is 0." in f for f in data.findings)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -13,6 +15,8 @@ from occfusion.errors import DataError
 from occfusion.files.resolve import Unresolved
 
 Array = NDArray[np.float64]
+
+_log = logging.getLogger(__name__)
 
 REPAIRABLE = 1e-3
 """A rotation this near to orthonormal has lost digits in writing; it is replaced by the nearest rotation."""
@@ -27,8 +31,11 @@ METRES_BELOW = 100.0
 NEAREST, FARTHEST = 0.1, 100.0
 """Plausible distances from camera to person, metres."""
 
-PREVIEW = 128
-"""Longer side, in pixels, at which the projected body is compared with the mask."""
+DISTORTION_COUNTS = (4, 5, 8)
+"""k1 k2 p1 p2, with k3, with k4 to k6."""
+
+MAX_SHAPES = 300
+"""Most shape coefficients that a body of SMPL's family has."""
 
 
 def numbers(value: Any, size: int | tuple[int, ...], where: str) -> Array:
@@ -41,7 +48,7 @@ def numbers(value: Any, size: int | tuple[int, ...], where: str) -> Array:
         raise DataError(f"{where} is a {value.name} that cannot be read safely: {value.reason}.")
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise DataError(f"{where} holds no numbers.") from None
     fits = array.size == size if isinstance(size, int) else array.shape == size
     if not fits:
@@ -49,6 +56,40 @@ def numbers(value: Any, size: int | tuple[int, ...], where: str) -> Array:
     if not np.isfinite(array).all():
         raise DataError(f"{where} holds NaN or infinite values.")
     return array.reshape(-1) if isinstance(size, int) else array
+
+
+def count_of(value: Any) -> int:
+    """Returns how many entries a value has, 0 for lists that are no array because their rows differ."""
+    try:
+        return int(np.size(value))
+    except (TypeError, ValueError):
+        return 0
+
+
+def shape_numbers(value: Any, where: str) -> Array:
+    """Returns shape coefficients `[B]`, B from 1 to `MAX_SHAPES`.
+
+    Raises:
+        DataError: none or too many, not numbers, or not finite.
+    """
+    if isinstance(value, Unresolved):
+        raise DataError(f"{where} is a {value.name} that cannot be read safely: {value.reason}.")
+    count = count_of(value)
+    if not 1 <= count <= MAX_SHAPES:
+        raise DataError(f"{where} has {count} coefficients, expected 1 to {MAX_SHAPES} (usually 10).")
+    return numbers(value, count, where)
+
+
+def distortion(value: Any, where: str) -> Array:
+    """Returns OpenCV's 4, 5 or 8 distortion coefficients.
+
+    Raises:
+        DataError: another number of them, not numbers, or not finite.
+    """
+    count = count_of(value)
+    if count not in DISTORTION_COUNTS:
+        raise DataError(f"{where} has {count} numbers, expected 5.")
+    return numbers(value, count, where)
 
 
 def rotation(matrix: Array, where: str) -> Array:
@@ -69,8 +110,21 @@ def rotation(matrix: Array, where: str) -> Array:
         )
     if error < _EXACT:
         return matrix
+    _report_repair(where, error)
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ right)
+
+
+@lru_cache(maxsize=256)
+def _report_repair(where: str, error: float) -> None:
+    """Says once for each place that digits were lost."""
+    _log.warning("%s: R R^T differs from 1 by %.1g; replaced by the nearest rotation.", where, error)
+
+
+def turn_between(first: Array, second: Array) -> float:
+    """Returns the angle between two axis-angle rotations `[3]`, radians, 0 to pi."""
+    a, b = (cv2.Rodrigues(np.asarray(v, dtype=np.float64).reshape(3, 1))[0] for v in (first, second))
+    return float(np.arccos(np.clip((np.trace(a.T @ b) - 1) / 2, -1.0, 1.0)))
 
 
 def check_intrinsics(K: Array, size: tuple[int, int], where: str) -> None:
@@ -96,6 +150,16 @@ def check_millimetres(translations: Array, where: str) -> None:
         raise DataError(
             f"{where}: the largest translation is {largest:.3g}; ZJU-MoCap gives T in millimetres, and this "
             "looks like metres. Multiply T by 1000."
+        )
+
+
+def check_metres(translations: Array, where: str) -> None:
+    """Raises DataError when camera translations `[C, 3]`, meant as metres, look like millimetres."""
+    largest = float(np.linalg.norm(translations, axis=-1).max(initial=0.0))
+    if largest > FARTHEST:
+        raise DataError(
+            f"{where}: the largest translation is {largest:.4g}; this layout has metres, and this looks like "
+            "millimetres. Divide it by 1000."
         )
 
 
@@ -130,23 +194,3 @@ def check_in_view(vertices: Array, camera: Calibration, size: tuple[int, int], w
             f"{where}: the body projects to about ({x:.0f}, {y:.0f}), outside camera {camera.name}'s picture "
             f"of {size[0]} x {size[1]}. Check the unit of T (millimetres), K, and Rh and Th."
         )
-
-
-def mask_overlap(vertices: Array, camera: Calibration, mask: NDArray[np.bool_]) -> tuple[float, float]:
-    """Returns how well the projected body fits a mask, estimated on a small preview from the vertices.
-
-    Returns:
-        The IoU, and the share of the mask that lies inside the body (high for partly hidden people too).
-    """
-    height, width = mask.shape
-    scale = min(PREVIEW / max(width, height), 1.0)
-    small = (max(round(width * scale), 1), max(round(height * scale), 1))
-    person = cv2.resize(mask.astype(np.uint8) * 255, small, interpolation=cv2.INTER_AREA) >= 128
-    pixels, depth = project(vertices, camera)
-    place = np.floor(pixels[depth > 0] * scale).astype(np.int64)
-    place = place[(place >= 0).all(axis=1) & (place < np.array(small)).all(axis=1)]
-    body = np.zeros(small[::-1], dtype=np.uint8)
-    body[place[:, 1], place[:, 0]] = 1
-    body = np.asarray(cv2.morphologyEx(body, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)))
-    union, both = int((person | (body > 0)).sum()), int((person & (body > 0)).sum())
-    return both / max(union, 1), both / max(int(person.sum()), 1)

@@ -35,3 +35,38 @@ def easymocap_to_smplx(Rh: Array, Th: Array, root: Array, pelvis: Array) -> tupl
         return Rh.copy(), transl
     combined, _ = cv2.Rodrigues(turn @ rotation_matrix(root))
     return np.asarray(combined, dtype=np.float64).reshape(3), transl
+
+
+def carried(orient: Array, transl: Array, motion: Array, pelvis: Array) -> tuple[Array, Array]:
+    """Returns (global_orient, transl) of the same body in a world that is moved by `motion`.
+
+    smplx turns about the pelvis J0: `x = G (m - J0) + J0 + transl`. A rigid motion `x' = W x + w` gives
+    `G' = W G` and `transl' = W (J0 + transl) + w - J0`.
+
+    Args:
+        orient: global_orient, `[3]`.
+        transl: `[3]`, metres.
+        motion: rigid motion of the world, `[4, 4]`, metres.
+        pelvis: J0, the pelvis at rest, `[3]`, metres.
+    """
+    turn, shift = motion[:3, :3], motion[:3, 3]
+    moved = turn @ (pelvis + transl) + shift - pelvis
+    if np.array_equal(turn, np.eye(3)):
+        return orient.copy(), moved
+    combined, _ = cv2.Rodrigues(turn @ rotation_matrix(orient))
+    return np.asarray(combined, dtype=np.float64).reshape(3), moved
+
+
+def turned_about(Rh: Array, Th: Array, centre: Array, pelvis: Array) -> tuple[Array, Array]:
+    """Returns (global_orient, transl) of smplx for `x = R(Rh) (m - J0 + centre) + Th`.
+
+    HumanNeRF's preparation writes the pelvis of its rest pose beside `Rh` and `Th`: J0 itself for
+    ZJU-MoCap (the rule of EasyMocap), 0 for other footage (rotation about the pelvis).
+
+    Args:
+        Rh: axis-angle, `[3]`, radians.
+        Th: translation, `[3]`, metres.
+        centre: where the rest pose has its pelvis, `[3]`, metres.
+        pelvis: J0 of the body at rest, `[3]`, metres.
+    """
+    return Rh.copy(), Th + rotation_matrix(Rh) @ centre - pelvis

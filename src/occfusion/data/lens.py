@@ -12,7 +12,8 @@ import torch
 from numpy.typing import NDArray
 
 from occfusion.data.scene import Calibration
-from occfusion.types import Box, Camera
+from occfusion.data.silhouette import Hidden, Silhouette
+from occfusion.types import Camera
 
 OPENCV_CENTRE = 0.5
 """OpenCV counts the middle of the first pixel as 0, this package as 0.5; principal points differ by this."""
@@ -68,12 +69,14 @@ class Lens:
         """Returns a mask at frame size: pixels of which at least half is covered."""
         return self.picture(stored.astype(np.uint8) * np.uint8(255)) >= _MAJORITY
 
-    def rectangle(self, box: Box) -> NDArray[np.bool_]:
-        """Returns a hidden rectangle at frame size: every pixel that it touches, so that nothing leaks."""
-        hidden = np.zeros(self.source[::-1], dtype=np.uint8)
-        x, y, w, h = box
-        hidden[y : y + h, x : x + w] = 255
-        return self.picture(hidden) > 0
+    def hidden(self, region: Hidden) -> NDArray[np.bool_]:
+        """Returns what is hidden at frame size: every pixel that it touches, so that nothing leaks."""
+        if isinstance(region, Silhouette):
+            return self.picture(region.full().astype(np.uint8) * np.uint8(255)) > 0
+        stored = np.zeros(self.source[::-1], dtype=np.uint8)
+        x, y, w, h = region
+        stored[y : y + h, x : x + w] = 255
+        return self.picture(stored) > 0
 
     @cached_property
     def _maps(self) -> tuple[Any, Any] | None:

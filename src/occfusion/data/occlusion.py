@@ -1,4 +1,4 @@
-"""Simulated occlusion: which rectangle of each training picture is hidden.
+"""Simulated occlusion: which part of each training picture is hidden.
 
 The paper hides a fixed full-height strip of columns during the first 80 % of a ZJU-MoCap sequence; its
 columns are a table for six subjects. All positions here are in pixels of the stored picture, so that
@@ -12,11 +12,13 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from occfusion.data.silhouette import Silhouette
+from occfusion.data.occluders import from_files, polygons
+from occfusion.data.silhouette import Hidden, Silhouette
 from occfusion.errors import ConfigError, DataError
 from occfusion.types import Box
 
@@ -33,8 +35,14 @@ STRIPS = {
 }
 """(mid, width) of the paper's six ZJU-MoCap subjects."""
 
-KINDS = ("none", "strip", "box", "moving")
+KINDS = ("none", "strip", "box", "moving", "polygons", "files")
 _ZJU_NAME = re.compile(r"(?:CoreView_|my_)?(\d{3})\Z")
+
+
+def zju_subject(scene: str) -> str | None:
+    """Returns the number of a ZJU-MoCap subject from its folder's name, None for any other name."""
+    found = _ZJU_NAME.match(scene)
+    return found[1] if found else None
 
 
 @dataclass(frozen=True)
@@ -43,12 +51,15 @@ class OcclusionSettings:
 
     Attributes:
         kind: `none`; `strip`: full height, fixed columns; `box`: around the person's centre in each
-            frame; `moving`: a full-height bar that sweeps over the person's range.
+            frame; `moving`: a full-height bar that sweeps over the person's range; `polygons`: a random
+            one over the person in each frame; `files`: the masks of a folder, in order.
         fraction: share of the training frames, from the first on, that are occluded.
         share: share of the person to hide, mean over the occluded frames, where the width is not given.
         mid: middle column of the strip, of a picture 1024 wide; from the table or the data when None.
         width: columns of the strip or bar, of a picture 1024 wide; from the table or the data when None.
         sweeps: how often the moving bar crosses the person's range during the occluded frames.
+        seed: of the polygons; the same for all variants of a run, whatever their own seed.
+        folder: masks of `files`, not 0 where something is hidden, of the size of the stored pictures.
     """
 
     kind: str = "none"
@@ -57,6 +68,8 @@ class OcclusionSettings:
     mid: float | None = None
     width: float | None = None
     sweeps: float = 2.0
+    seed: int = 0
+    folder: str | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -64,6 +77,13 @@ class OcclusionSettings:
         _check_range("fraction", self.fraction, 0.0, 1.0)
         _check_range("share", self.share, 0.0, 1.0)
         _check_range("sweeps", self.sweeps, 0.0, 1000.0)
+        _check_range("seed", self.seed, 0, 2**32 - 1)
+        if not isinstance(self.seed, int):
+            raise ConfigError(f"dataset.occlusion.seed={self.seed!r}: must be a whole number.")
+        if self.kind == "files" and not self.folder:
+            raise ConfigError(
+                "dataset.occlusion.kind=files needs dataset.occlusion.folder, a folder of masks."
+            )
         for key in ("mid", "width"):
             if getattr(self, key) is not None:
                 _check_range(key, getattr(self, key), 0.0, float(TABLE_WIDTH))
@@ -90,8 +110,8 @@ class OcclusionSettings:
 
 def plan(
     settings: OcclusionSettings, silhouettes: Sequence[Silhouette], scene_name: str
-) -> tuple[Box | None, ...]:
-    """Returns what is hidden in each training frame, as a rectangle of the stored picture, or None.
+) -> tuple[Hidden | None, ...]:
+    """Returns what is hidden in each training frame, in pixels of the stored picture, or None.
 
     Args:
         settings: the kind and its parameters.
@@ -105,11 +125,15 @@ def plan(
     if settings.kind == "none" or occluded == 0:
         return (None,) * len(silhouettes)
     if settings.kind == "strip":
-        boxes: list[Box | None] = [_strip(settings, silhouettes, occluded, scene_name)] * occluded
+        boxes: list[Hidden | None] = [_strip(settings, silhouettes, occluded, scene_name)] * occluded
     elif settings.kind == "box":
         boxes = [_centre_box(settings.share, silhouette) for silhouette in silhouettes[:occluded]]
-    else:
+    elif settings.kind == "moving":
         boxes = list(_moving(settings, silhouettes[:occluded]))
+    elif settings.kind == "polygons":
+        boxes = list(polygons(silhouettes[:occluded], settings.share, settings.seed))
+    else:
+        boxes = list(from_files(Path(settings.folder or ""), silhouettes[:occluded]))
     return (*boxes, *(None,) * (len(silhouettes) - occluded))
 
 
@@ -124,8 +148,7 @@ def _strip(
     settings: OcclusionSettings, silhouettes: Sequence[Silhouette], occluded: int, scene_name: str
 ) -> Box | None:
     picture = silhouettes[0]
-    known = _ZJU_NAME.match(scene_name)
-    table = STRIPS.get(known[1]) if known else None
+    table = STRIPS.get(zju_subject(scene_name) or "")
     mid: float | None = settings.mid if settings.mid is not None or table is None else table[0]
     width: float | None = settings.width if settings.width is not None or table is None else table[1]
     scale = picture.width / TABLE_WIDTH

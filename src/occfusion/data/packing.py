@@ -13,7 +13,7 @@ from torch import Tensor
 
 from occfusion.data.lens import Lens
 from occfusion.data.scene import PictureFiles
-from occfusion.data.silhouette import bounding_box
+from occfusion.data.silhouette import Hidden, bounding_box
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.types import Box
@@ -35,6 +35,7 @@ class Packed:
         visible: bits of the visible mask inside the box.
         complete: bits of the complete mask inside the box.
         hidden: bits of the occluded pixels of the whole frame; None where nothing is occluded.
+        certain: whether `hidden` is all that is occluded; not where real occluders are unknown.
     """
 
     size: tuple[int, int]
@@ -44,6 +45,7 @@ class Packed:
     visible: Bytes
     complete: Bytes
     hidden: Bytes | None
+    certain: bool = True
 
     @property
     def nbytes(self) -> int:
@@ -69,9 +71,11 @@ class Packed:
         """Returns (rgb, mask) of the unoccluded person, None where it is not known."""
         return None if self.whole is None else (self._colours(self.whole), self._mask(self.complete))
 
-    def occluded(self) -> Tensor:
-        """Returns the pixels that an occluder hides, bool `[H, W]`."""
+    def occluded(self) -> Tensor | None:
+        """Returns the pixels that an occluder hides, bool `[H, W]`; None where that is not known."""
         width, height = self.size
+        if not self.certain:
+            return None
         if self.hidden is None:
             return torch.zeros(height, width, dtype=torch.bool)
         bits = np.unpackbits(self.hidden, count=width * height)
@@ -94,7 +98,9 @@ class Packed:
         return torch.from_numpy(frame)
 
 
-def pack(files: PictureFiles, lens: Lens, hidden_box: Box | None = None, *, clean: bool = False) -> Packed:
+def pack(
+    files: PictureFiles, lens: Lens, hidden_part: Hidden | None = None, *, clean: bool = False
+) -> Packed:
     """Returns one moment, read from disk, cut out, undistorted and scaled.
 
     The cut is made at the stored size, so that edge pixels are the person blended onto black by coverage;
@@ -103,30 +109,31 @@ def pack(files: PictureFiles, lens: Lens, hidden_box: Box | None = None, *, clea
     Args:
         files: where it lies.
         lens: its camera.
-        hidden_box: simulated occlusion in pixels of the stored picture.
+        hidden_part: simulated occlusion in pixels of the stored picture.
         clean: a held-out view: the unoccluded picture is the observation.
 
     Raises:
         DataError: a file is missing or damaged, or its size is not that of the camera's other pictures.
     """
-    observed = np.logical_or.reduce([_read_mask(path, lens) for path in files.masks])
-    if files.complete_mask is None:  # nothing stood before the person
-        whole_path: Path | None = files.rgb
-        whole_mask = observed
+    observed = np.logical_or.reduce([_read_mask(path, lens, files.label) for path in files.masks])
+    whole_path: Path | None
+    if files.complete_mask is None:  # nothing stood before the person, or nobody knows what it hid
+        whole_path, whole_mask = (None if files.truth_unknown else files.rgb), observed
     else:
-        whole_path, whole_mask = files.complete_rgb, _read_mask(files.complete_mask, lens)
+        whole_path, whole_mask = files.complete_rgb, _read_mask(files.complete_mask, lens, None)
     whole = None if whole_path is None else _cut(whole_path, whole_mask, lens)
     complete = lens.mask(whole_mask)
-    if clean and whole is None:
+    if clean and whole is None and not files.truth_unknown:
         raise DataError(f"{files.rgb}: a held-out view needs the picture without its occluder beside it.")
     seen, visible, hidden = None, complete, None
-    if not clean and files.complete_mask is not None:
+    if files.truth_unknown or (not clean and files.complete_mask is not None):
         seen, visible = _cut(files.rgb, observed, lens), lens.mask(observed)
+    if not clean and files.complete_mask is not None:
         hidden = complete & ~visible
-    if hidden_box is not None:
-        rectangle = lens.rectangle(hidden_box)
-        hidden = rectangle if hidden is None else hidden | rectangle
-        visible = visible & ~rectangle
+    if hidden_part is not None:
+        simulated = lens.hidden(hidden_part)
+        hidden = simulated if hidden is None else hidden | simulated
+        visible = visible & ~simulated
     box = bounding_box(complete | visible)
     x, y, w, h = box
     window = (slice(y, y + h), slice(x, x + w))
@@ -138,11 +145,12 @@ def pack(files: PictureFiles, lens: Lens, hidden_box: Box | None = None, *, clea
         visible=np.packbits(visible[window]),
         complete=np.packbits(complete[window]),
         hidden=None if hidden is None else np.packbits(hidden),
+        certain=not files.truth_unknown,
     )
 
 
-def _read_mask(path: Path, lens: Lens) -> Mask:
-    mask = read_mask(path)
+def _read_mask(path: Path, lens: Lens, label: int | None) -> Mask:
+    mask = read_mask(path, label=label)
     _check_size(mask.shape, path, lens)
     return mask
 

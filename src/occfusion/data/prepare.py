@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from occfusion.data import protocol, survey
 from occfusion.data.occlusion import OcclusionSettings, plan
 from occfusion.data.scene import Scene
+from occfusion.data.silhouette import Hidden
 from occfusion.errors import DataError
-from occfusion.types import Box
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Prepared:
     scene: Scene
     train: tuple[int, ...]
     people: tuple[survey.Person, ...]
-    hidden: tuple[Box | None, ...]
+    hidden: tuple[Hidden | None, ...]
     left_out: tuple[int, ...]
     test: tuple[int, ...]
     camera: int
@@ -63,8 +63,13 @@ class Prepared:
         """The held-out `(frame, camera)`, camera by camera."""
         return tuple((frame, camera) for camera in self.cameras for frame in self.test)
 
+    @property
+    def truth_unknown(self) -> bool:
+        """Whether real things may hide parts of the person that no file shows."""
+        return self.scene.files(self.train[0], self.camera).truth_unknown
+
     def visible_shares(self) -> list[float]:
-        """Returns which share of the person each training frame shows."""
+        """Returns which share of the known whole person each training frame shows."""
         return [p.visible_share(box) for p, box in zip(self.people, self.hidden, strict=True)]
 
 

@@ -66,6 +66,8 @@ class PictureFiles:
         masks: person masks; a pixel in any of them is the person.
         complete_rgb: the picture without its occluder, where the data set has one.
         complete_mask: the whole person, hidden parts included, where the data set has it.
+        occluded: whether real things may stand before the person.
+        label: the value of the wanted person in masks that number several; None: every value but 0.
     """
 
     name: str
@@ -73,6 +75,13 @@ class PictureFiles:
     masks: tuple[Path, ...]
     complete_rgb: Path | None
     complete_mask: Path | None
+    occluded: bool = False
+    label: int | None = None
+
+    @property
+    def truth_unknown(self) -> bool:
+        """Whether something may hide part of the person and nothing tells what."""
+        return self.occluded and self.complete_mask is None
 
     def all(self) -> tuple[Path, ...]:
         """Returns every path."""
@@ -81,12 +90,16 @@ class PictureFiles:
 
 
 class Scene(ABC):
-    """An interface: one sequence of one person, seen by one or more cameras."""
+    """An interface: one sequence of one person, seen by one or more cameras.
+
+    `remarks` are sentences about the folder that the user should know of, one each.
+    """
 
     name: str
     root: Path
     num_frames: int
     cameras: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     @abstractmethod
     def calibration(self, camera: int) -> Calibration:

@@ -50,16 +50,30 @@ class Silhouette:
         counts[x : x + w] = self.crop().sum(axis=0)
         return counts
 
-    def share_outside(self, hidden: Box | None) -> float:
-        """Returns the share of the person's pixels that lie outside a rectangle."""
+    def full(self) -> NDArray[np.bool_]:
+        """Returns the mask of the whole picture, `[H, W]`."""
+        mask = np.zeros((self.height, self.width), dtype=bool)
+        x, y, w, h = self.box
+        mask[y : y + h, x : x + w] = self.crop()
+        return mask
+
+    def share_outside(self, hidden: Hidden | None) -> float:
+        """Returns the share of the person's pixels that lie outside a rectangle or another mask."""
         mask = self.crop()
         total = int(mask.sum())
         if hidden is None or total == 0:
             return 1.0
+        if isinstance(hidden, Silhouette):
+            x, y, w, h = self.box
+            return 1.0 - int((mask & hidden.full()[y : y + h, x : x + w]).sum()) / total
         x, y, _, _ = self.box
         left, top = max(hidden[0] - x, 0), max(hidden[1] - y, 0)
         right, bottom = max(hidden[0] + hidden[2] - x, 0), max(hidden[1] + hidden[3] - y, 0)
         return 1.0 - int(mask[top:bottom, left:right].sum()) / total
+
+
+Hidden = Box | Silhouette
+"""What is hidden of a stored picture: a rectangle, or the true pixels of a mask of its size."""
 
 
 def bounding_box(mask: NDArray[np.bool_]) -> Box:

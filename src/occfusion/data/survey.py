@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from occfusion.data.scene import Scene
-from occfusion.data.silhouette import Silhouette
+from occfusion.data.silhouette import Hidden, Silhouette
 from occfusion.errors import DataError
 from occfusion.files.images import image_size, read_mask
-from occfusion.types import Box
 
 SCAN_THREADS = 2
 """Masks decode outside the interpreter's lock; more threads than this only help on larger machines."""
+
+HASHED_AT_ONCE = 1 << 20
+"""Bytes read at a time: annotations of a whole data set can have half a gigabyte."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Person:
     whole: Silhouette
     seen: Silhouette
 
-    def visible_share(self, hidden: Box | None) -> float:
+    def visible_share(self, hidden: Hidden | None) -> float:
         """Returns which share of the whole person is seen past real and simulated occluders."""
         total = int(self.whole.crop().sum())
         if total == 0:
@@ -84,7 +86,7 @@ def scan_people(scene: Scene, frames: Sequence[int], camera: int) -> list[Person
 def look_at_person(scene: Scene, frame: int, camera: int) -> Person:
     """Returns what the masks of one picture show."""
     files = scene.files(frame, camera)
-    masks = [read_mask(path) for path in files.masks]
+    masks = [read_mask(path, label=files.label) for path in files.masks]
     if len({mask.shape for mask in masks}) > 1:
         raise DataError(f"{files.masks[1]}: its size differs from that of {files.masks[0]}.")
     seen = Silhouette.of(np.logical_or.reduce(masks))
@@ -102,7 +104,25 @@ def data_hash(scene: Scene, views: Iterable[tuple[int, int]], settings: str) -> 
         for path in scene.evidence(frame):
             if path not in read:
                 read.add(path)
-                digest.update(path.name.encode() + path.read_bytes())
+                digest.update(path.name.encode())
+                with path.open("rb") as stream:
+                    while part := stream.read(HASHED_AT_ONCE):
+                        digest.update(part)
         for path in scene.files(frame, camera).all():
             digest.update(f"{path.relative_to(scene.root)} {path.stat().st_size}\n".encode())
     return digest.hexdigest()[:16]
+
+
+def hidden_boxes(hidden: Iterable[Hidden | None]) -> list[list[int] | None]:
+    """Returns the rectangle around what is simulated to be hidden in each frame, None for nothing."""
+    boxes = [part.box if isinstance(part, Silhouette) else part for part in hidden]
+    return [None if box is None else list(box) for box in boxes]
+
+
+def hidden_digest(hidden: Iterable[Hidden | None]) -> str:
+    """Returns a fingerprint of hidden parts that are masks; empty where all are rectangles."""
+    masks = [part for part in hidden if isinstance(part, Silhouette)]
+    digest = hashlib.sha256()
+    for mask in masks:
+        digest.update(repr(mask.box).encode() + mask.bits.tobytes())
+    return digest.hexdigest() if masks else ""

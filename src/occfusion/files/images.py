@@ -84,12 +84,19 @@ def read_rgb(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArra
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
-def read_mask(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.bool_]:
+def read_mask(
+    path: Path | str, max_megapixels: float = MAX_MEGAPIXELS, label: int | None = None
+) -> NDArray[np.bool_]:
     """Returns where the person is, bool `[H, W]`.
 
     Rule, on the largest of the colour channels: values up to `MAX_LABEL` are labels, and so is a single
     value besides 0: non-zero is the person. With values up to 255 in between, the mask is soft (edges
     blurred, or stored as JPEG): 128 and more is the person.
+
+    Args:
+        path: the file.
+        max_megapixels: larger pictures are refused.
+        label: only pixels of exactly this value are the person: masks that number several people.
 
     Raises:
         DataError: as `read_rgb`; or several values besides 0 of which the largest is between labels
@@ -100,6 +107,8 @@ def read_mask(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArr
         image = image[..., :3].max(axis=2)
     if image.dtype == np.uint16 and image.max(initial=0) < 256:
         image = image.astype(np.uint8)  # labels written with 16 bits
+    if label is not None:
+        return np.asarray(image == label)
     image = _to_8_bits(image)
     largest = int(image.max(initial=0))
     if largest <= MAX_LABEL:

@@ -1,0 +1,124 @@
+"""`python -m occfusion check DATA`: what is in a data folder, what is wrong with it, and what to do."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from occfusion.data.findings import Finding, worst
+from occfusion.data.fit import inspect_fit, inspect_other_cameras
+from occfusion.data.inspection import Look, inspect_bodies, inspect_cameras, inspect_files, inspect_masks
+from occfusion.data.layouts import LAYOUTS, sequences_in
+from occfusion.data.opening import open_folder
+from occfusion.data.overlay import draw_overlay
+from occfusion.data.posing import Poser
+from occfusion.errors import ConfigError, OccfusionError
+from occfusion.files.atomic import write_png
+from occfusion.human import embedded_body, load_body
+
+COLOURS = {"ok": "green", "note": "cyan", "doubt": "yellow", "error": "red"}
+PARTS = (inspect_files, inspect_cameras, inspect_bodies, inspect_masks, inspect_fit, inspect_other_cameras)
+EXIT_DOUBT = 2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of the verb."""
+    parser.add_argument("data", type=Path, metavar="DATA", help="a sequence's folder, or a folder of them")
+    parser.add_argument("--scene", help="the sequence, where one file holds several (OcMotion as released)")
+    parser.add_argument(
+        "--body", type=Path, help="the SMPL file (default: DATA/body.npz, else the embedded body, roughly)"
+    )
+    parser.add_argument("--camera", type=int, default=0, help="index of the training camera (default: 0)")
+    parser.add_argument("--masks", help="mask folder (default: the layout's)")
+    parser.add_argument("--person", type=int, help="which of several people, where the files tell them apart")
+    parser.add_argument(
+        "--overlay", type=Path, help="where the overlay picture goes (default: check_SCENE.png here)"
+    )
+    parser.add_argument(
+        "--strict", action="store_true", help=f"exit with {EXIT_DOUBT} when something is doubtful"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Checks one sequence or all of a folder; returns 0, 1 after an error, with --strict 2 after a doubt."""
+    folders = _folders(arguments.data)
+    if arguments.overlay is not None and len(folders) > 1:
+        raise ConfigError("--overlay names one file; check the sequences one by one, or leave it out.")
+    levels = [_check(folder, arguments) for folder in folders]
+    if "error" in levels:
+        return 1
+    return EXIT_DOUBT if arguments.strict and "doubt" in levels else 0
+
+
+def _folders(data: Path) -> list[Path]:
+    if any(layout.fits(data) for layout in LAYOUTS):
+        return [data]
+    return sequences_in(data) or [data]
+
+
+def _check(folder: Path, arguments: argparse.Namespace) -> str:
+    findings, look = _inspect(folder, arguments)
+    console = Console()
+    table = Table(title=str(folder), title_justify="left", show_lines=True)
+    for heading in ("", "what", "found", "what to do"):
+        table.add_column(heading, overflow="fold")
+    for finding in findings:
+        mark = Text(finding.level, style=COLOURS[finding.level])
+        table.add_row(mark, *(Text(part) for part in (finding.topic, finding.text, finding.cure)))
+    console.print(table)
+    picture = None if look is None else draw_overlay(look)
+    if picture is not None and look is not None:
+        path = arguments.overlay or Path(f"check_{look.scene.name}.png")
+        write_png(path, picture)
+        console.print(
+            f"overlay (mask green, body red, joints yellow): {path}", highlight=False, soft_wrap=True
+        )
+    level = worst(findings)
+    verdict = {
+        "error": "training would not start",
+        "doubt": "training would start; look at the doubts first",
+    }.get(level, "ready to train")
+    console.print(f"{folder}: {verdict}", highlight=False, soft_wrap=True)
+    return level
+
+
+def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding], Look | None]:
+    findings: list[Finding] = []
+    try:
+        poser, body = _poser(folder, arguments.body)
+        findings.append(body)
+        layout, scene = open_folder(folder, poser.pelvis, arguments.masks, arguments.scene, arguments.person)
+    except OccfusionError as error:
+        return [*findings, Finding("error", "folder", str(error))], None
+    text = f"{layout}: {scene.num_frames} frames, {len(scene.cameras)} cameras"
+    findings.append(Finding("ok", "layout", text))
+    findings += [Finding("doubt", "layout", remark) for remark in scene.remarks]
+    if not 0 <= arguments.camera < len(scene.cameras):
+        raise ConfigError(
+            f"--camera {arguments.camera}: the scene has the cameras 0..{len(scene.cameras) - 1}."
+        )
+    look = Look(scene, poser, arguments.camera)
+    for part in PARTS:
+        findings += part(look)
+    return _by_gravity(findings), look
+
+
+def _poser(folder: Path, path: Path | None) -> tuple[Poser, Finding]:
+    own = folder / "body.npz"
+    if path is None and not own.is_file():
+        return Poser(embedded_body()), Finding(
+            "note", "body file", "none given: the embedded body stands in, so height and fit are rough",
+            "name the one that the parameters were fitted with: --body SMPL_NEUTRAL.pkl",
+        )  # fmt: skip
+    return Poser(load_body(path or own)), Finding("ok", "body file", str(path or own))
+
+
+def _by_gravity(findings: Sequence[Finding]) -> list[Finding]:
+    """Returns the findings with errors first; otherwise in the order in which they were made."""
+    order = {"error": 0, "doubt": 1, "note": 2, "ok": 3}
+    return sorted(findings, key=lambda finding: order[finding.level])

@@ -1,0 +1,110 @@
+"""Does the body lie where the masks are? And if not: which known mistake would explain it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occfusion.data import checks, overlap, survey
+from occfusion.data.findings import Finding, guarded, listed
+from occfusion.data.inspection import Look, posed_bodies
+from occfusion.data.mistakes import explain
+from occfusion.data.scene import Array, Calibration
+from occfusion.data.validation import DOUBTFUL_OVERLAP, JOINTS_INSIDE, MISSED
+from occfusion.errors import DataError
+
+
+def inspect_fit(look: Look) -> list[Finding]:
+    """Returns how well projected body, joints and masks agree, in the frames whose masks were opened."""
+    return guarded("fit", lambda: _fit(look))
+
+
+def _fit(look: Look) -> Iterator[Finding]:
+    camera, posed = look.sound.get(look.camera), posed_bodies(look)
+    if camera is None or not posed:
+        yield Finding(
+            "note", "fit", "not checked: it needs a sound camera, parameters and a mask of one frame"
+        )
+        return
+    masks = {frame: look.people[frame].whole.full() for frame in posed}
+    yield from _in_view(posed, masks, camera)
+    bodies = {frame: vertices for frame, (vertices, _) in posed.items()}
+    scores = [overlap.mask_overlap(bodies[frame], camera, masks[frame]) for frame in posed]
+    iou, inside = np.mean(scores, axis=0)
+    unknown = look.scene.files(next(iter(posed)), look.camera).truth_unknown
+    good = (inside if unknown else iou) >= DOUBTFUL_OVERLAP
+    away = np.median([checks.project(joints, camera)[1].mean() for _, joints in posed.values()])
+    text = (
+        f"IoU of projected body and mask {iou:.2f}, {inside:.0%} of the mask inside the body, the person "
+        f"{away:.3g} m from the camera"
+    )
+    cure = ""
+    if not good:
+        cure = explain(list(bodies.values()), list(masks.values()), camera) or (
+            "check R, T, K, Rh, Th, the body file, and that masks and parameters are of the same person"
+        )
+    yield Finding("ok" if good else "error" if inside < MISSED else "doubt", "fit", text, cure)
+    shares = [overlap.joints_inside(joints, camera, masks[frame]) for frame, (_, joints) in posed.items()]
+    joints_share = np.mean(shares)
+    fine = joints_share >= JOINTS_INSIDE or unknown
+    yield Finding(
+        "ok" if fine else "doubt", "joints", f"{joints_share:.0%} of the joints are inside the mask",
+        "" if fine else "check cameras, poses, and that mask and parameters are of the same person",
+    )  # fmt: skip
+    yield _occlusion(look, bodies, camera, unknown)
+
+
+def _in_view(
+    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], camera: Calibration
+) -> Iterator[Finding]:
+    outside = []
+    for frame, (vertices, _) in posed.items():
+        height, width = masks[frame].shape
+        try:
+            checks.check_in_view(vertices, camera, (width, height), f"frame {frame}")
+        except DataError as error:
+            outside.append(str(error))
+    if outside:
+        level = "error" if len(outside) == len(posed) else "doubt"
+        yield Finding(level, "in view", f"{len(outside)} of {len(posed)} frames: {outside[0]}")
+
+
+def _occlusion(look: Look, bodies: dict[int, Array], camera: Calibration, unknown: bool) -> Finding:
+    if unknown:
+        shares = [overlap.seen_share(body, camera, look.people[f].seen.full()) for f, body in bodies.items()]
+        how = "estimated from the projected body"
+    else:
+        shares = [look.people[frame].visible_share(None) for frame in bodies]
+        how = "from complete masks, or nothing is known to hide anything"
+    hidden = {frame: 1 - share for frame, share in zip(bodies, shares, strict=True)}
+    each = listed((f"{frame}: {share:.0%}" for frame, share in hidden.items()), 12)
+    level = "note" if max(hidden.values()) > 0 else "ok"
+    return Finding(level, "occlusion", f"hidden share by frame ({how}): {each}")
+
+
+def inspect_other_cameras(look: Look) -> list[Finding]:
+    """Returns the cameras, other than the one trained on, where the body misses the mask in one frame."""
+
+    def findings() -> Iterator[Finding]:
+        frame = next((f for f in look.sample() if f in look.bodies), None)
+        others = [index for index in look.sound if index != look.camera]
+        if frame is None or not others:
+            return
+        vertices = look.poser.pose(look.bodies[frame])[0]
+        bad = []
+        for index in others:
+            person = survey.look_at_person(look.scene, frame, index).whole
+            fit = overlap.mask_overlap(vertices, look.sound[index], person.full())[0]
+            if not person.empty and fit < DOUBTFUL_OVERLAP:
+                bad.append(look.sound[index].name)
+        if bad:
+            text = (
+                f"body and mask overlap badly in {len(bad)} of {len(others)} in frame {frame}: {listed(bad)}"
+            )
+            yield Finding("doubt", "other cameras", text, "check their R and T")
+        else:
+            yield Finding("ok", "other cameras", f"body and mask fit in all {len(others)} in frame {frame}")
+
+    return guarded("other cameras", findings)

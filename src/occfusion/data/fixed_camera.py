@@ -1,0 +1,110 @@
+"""One camera given anew for each frame, as one that stands still.
+
+Several layouts give extrinsics for each frame: because the camera moved, or because the person's
+translation was put into them. Readers give cameras that stand still, so a changed view of frame f is
+carried over to the person: `E_f x = E_0 (E_0^-1 E_f x)`. What the camera sees is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from occfusion.data import checks
+from occfusion.data.convention import carried
+from occfusion.data.scene import Array, BodyParameters, Calibration
+from occfusion.errors import DataError
+
+SAME_PIXELS = 1e-2
+"""Largest change, in pixels, of an intrinsic from frame to frame that is taken for lost digits."""
+
+_STILL = 1e-6
+"""Extrinsics this near to the first frame's are the same camera, written in float32."""
+
+
+class FixedCamera:
+    """A camera of one or of N frames, checked.
+
+    Attributes:
+        calibration: the camera of the first frame.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        intrinsics: Sequence[Any],
+        extrinsics: Sequence[Any],
+        distortions: Sequence[Any] | None,
+        where: Sequence[str],
+        centre_shift: float,
+    ) -> None:
+        """Checks all frames.
+
+        Args:
+            name: what messages call the camera.
+            intrinsics: K of each frame, `[3, 3]`.
+            extrinsics: world to camera of each frame, `[4, 4]` or `[3, 4]`, metres.
+            distortions: lens distortion of each frame; none when None.
+            where: what messages call each frame.
+            centre_shift: added to principal points: 0.5 where the file counts pixel centres from 0.
+
+        Raises:
+            DataError: an entry cannot be, or K changes from frame to frame; names the frame.
+        """
+        lenses = [_lens(K, D, at) for K, D, at in zip(
+            intrinsics, distortions or [np.zeros(5)] * len(where), where, strict=True)]  # fmt: skip
+        K, distortion = lenses[0]
+        for at, (other, bent) in zip(where, lenses, strict=True):
+            if np.abs(other - K).max() > SAME_PIXELS or not np.array_equal(bent, distortion):
+                raise DataError(
+                    f"{at}: the intrinsics differ from those of the first frame; a lens that zooms, or "
+                    "pictures cropped one by one, are not supported. Undo the crop."
+                )
+        views = [_extrinsics(value, at) for value, at in zip(extrinsics, where, strict=True)]
+        checks.check_metres(np.stack([view[:3, 3] for view in views]), where[0])
+        first = views[0]
+        back = _inverse(first)
+        self._motions = [None if np.abs(view - first).max() <= _STILL else back @ view for view in views]
+        K = K.copy()
+        K[:2, 2] += centre_shift
+        self.calibration = Calibration(name, K, first[:3, :3], first[:3, 3], distortion)
+
+    def carry(self, frame: int, body: BodyParameters, pelvis: Array) -> BodyParameters:
+        """Returns the body of a frame in the world of the first frame's camera.
+
+        Args:
+            frame: position of the frame.
+            body: parameters in the frame's own world.
+            pelvis: the pelvis at rest, `[3]`, metres.
+        """
+        motion = self._motions[frame]
+        if motion is None:
+            return body
+        orient, transl = carried(body.global_orient, body.transl, motion, pelvis)
+        return BodyParameters(body.betas, orient, body.body_pose, transl)
+
+
+def _lens(K: Any, distortion: Any, where: str) -> tuple[Array, Array]:
+    matrix = checks.numbers(K, 9, f"{where}, intrinsics").reshape(3, 3)
+    return matrix, checks.distortion(distortion, f"{where}, distortions")
+
+
+def _extrinsics(value: Any, where: str) -> Array:
+    label = f"{where}, extrinsics"
+    given = checks.numbers(value, 16 if checks.count_of(value) == 16 else 12, label).reshape(-1, 4)
+    if len(given) == 4 and not np.allclose(given[3], (0, 0, 0, 1), atol=1e-5):
+        raise DataError(
+            f"{label} has the last row {given[3].tolist()}, not 0 0 0 1: is the matrix transposed?"
+        )
+    view = np.eye(4)
+    view[:3] = given[:3]
+    view[:3, :3] = checks.rotation(view[:3, :3], f"{label}, its rotation")
+    return view
+
+
+def _inverse(view: Array) -> Array:
+    back = np.eye(4)
+    back[:3, :3], back[:3, 3] = view[:3, :3].T, -view[:3, :3].T @ view[:3, 3]
+    return back

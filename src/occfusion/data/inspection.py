@@ -1,0 +1,196 @@
+"""A full look into a data folder: everything that is wrong at once, not only what comes first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from occfusion.data import checks, survey, validation
+from occfusion.data.findings import Finding, guarded, listed
+from occfusion.data.posing import Poser
+from occfusion.data.scene import Array, BodyParameters, Calibration, Scene
+from occfusion.errors import DataError
+from occfusion.files.images import image_size
+
+LOOKED_AT = 12
+"""Frames whose pictures are opened; parameters and the presence of files are checked for all frames."""
+
+HELD_OUT_LOOKED_AT = 2
+"""Frames whose sizes are compared in the cameras that are not trained on."""
+
+SHARP_TURN = 1.0
+"""Largest plausible turn of the whole body from one frame to the next, radians: more is a flipped fit."""
+
+JUMP = 0.5
+"""Largest plausible way of the body from one frame to the next, metres."""
+
+
+@dataclass
+class Look:
+    """What is inspected, and what was understood of it so far.
+
+    Attributes:
+        scene: the reader.
+        poser: the body.
+        camera: index of the camera that is to be trained on.
+        sound: calibrations that could be read, by index.
+        bodies: body parameters that could be read, by frame.
+        people: what the masks of the frames that were opened show.
+    """
+
+    scene: Scene
+    poser: Poser
+    camera: int = 0
+    sound: dict[int, Calibration] = field(default_factory=dict)
+    bodies: dict[int, BodyParameters] = field(default_factory=dict)
+    people: dict[int, survey.Person] = field(default_factory=dict)
+
+    def sample(self, count: int = LOOKED_AT) -> list[int]:
+        """Returns a few frames, evenly spread."""
+        last = self.scene.num_frames - 1
+        return sorted({int(frame) for frame in np.linspace(0, last, min(count, last + 1)).round()})
+
+
+def inspect_files(look: Look) -> list[Finding]:
+    """Returns what is missing, of all frames and cameras."""
+
+    def findings() -> Iterator[Finding]:
+        scene, missing = look.scene, []
+        for frame in range(scene.num_frames):
+            missing += [path for path in scene.evidence(frame) if not path.is_file()]
+            for camera in range(len(scene.cameras)):
+                files = scene.files(frame, camera).all()
+                missing += [path for path in files if not path.is_file()]
+        total = scene.num_frames * len(scene.cameras)
+        if not missing:
+            yield Finding(
+                "ok", "files", f"all there: {scene.num_frames} frames of {len(scene.cameras)} cameras"
+            )
+            return
+        unique = sorted(set(missing))
+        names = listed((path.relative_to(scene.root) for path in unique), 4)
+        yield Finding(
+            "error", "files", f"{len(unique)} files of {total} views are missing: {names}",
+            "complete them, or choose dataset.train_frames, train_camera and test_cameras that are whole",
+        )  # fmt: skip
+
+    return guarded("files", findings)
+
+
+def inspect_cameras(look: Look) -> list[Finding]:
+    """Returns what is wrong with each camera: rotation, unit, focal length, principal point, sizes."""
+    found: list[Finding] = []
+    for camera, name in enumerate(look.scene.cameras):
+        found += guarded(f"camera {name}", lambda camera=camera: _camera(look, camera))  # type: ignore[misc]
+    if look.sound and not found:
+        focal = [calibration.K[0, 0] for calibration in look.sound.values()]
+        determinants = {round(float(np.linalg.det(c.R)), 6) for c in look.sound.values()}
+        text = (
+            f"{len(look.sound)} sound: det R {listed(sorted(determinants))}, focal lengths {min(focal):.0f} to "
+            f"{max(focal):.0f} px"
+        )
+        found.append(Finding("ok", "cameras", text))
+    return found
+
+
+def _camera(look: Look, camera: int) -> Iterator[Finding]:
+    scene = look.scene
+    calibration = scene.calibration(camera)
+    count = LOOKED_AT if camera == look.camera else HELD_OUT_LOOKED_AT
+    views = [(f, camera) for f in look.sample(count) if scene.files(f, camera).rgb.is_file()]
+    if views:
+        size = image_size(scene.files(*views[0]).rgb)
+        checks.check_intrinsics(calibration.K, size, f"{scene.root}, K of camera {calibration.name}")
+        here = [view for view in views if all(path.is_file() for path in scene.files(*view).all())]
+        survey.require_sizes(scene, here, {camera: size})
+    look.sound[camera] = calibration
+    yield from ()
+
+
+def inspect_bodies(look: Look) -> list[Finding]:
+    """Returns which frames have parameters that cannot be, that jump, or a body of a strange height."""
+    bad: dict[int, str] = {}
+    for frame in range(look.scene.num_frames):
+        try:
+            look.bodies[frame] = look.scene.parameters(frame)
+        except DataError as error:
+            bad[frame] = str(error)
+    found: list[Finding] = []
+    if bad:
+        first = next(iter(bad))
+        found.append(
+            Finding("error", "bad frames", f"{len(bad)}: {listed(bad)}; the first: {bad[first]}",
+                    "mend or leave out these frames")
+        )  # fmt: skip
+    return found + (guarded("body", lambda: _bodies(look)) if look.bodies else [])
+
+
+def _bodies(look: Look) -> Iterator[Finding]:
+    frames = sorted(look.bodies)
+    heights = [
+        float(np.ptp(look.poser.rest_vertices(look.bodies[frame].betas), axis=0).max())
+        for frame in {0: frames[0], 1: frames[-1]}.values()
+    ]
+    low, high = validation.HEIGHT
+    shapes = {look.bodies[frame].betas.tobytes() for frame in frames}
+    sound = low <= min(heights) and max(heights) <= high
+    yield Finding(
+        "ok" if sound else "error", "height", f"{heights[0]:.2f} m at rest, {len(shapes)} shape(s)",
+        "" if sound else f"a person has {low} to {high} m: check `shapes` and the unit of the body file",
+    )  # fmt: skip
+    jumps = [b for a, b in pairwise(frames) if b == a + 1 and _jumps(look, a, b)]
+    if jumps:
+        yield Finding(
+            "doubt", "motion", f"{len(jumps)} frames jump or turn sharply against the one before: {listed(jumps)}",
+            "look at these poses; leave the frames out if they are wrong",
+        )  # fmt: skip
+
+
+def _jumps(look: Look, before: int, after: int) -> bool:
+    a, b = look.bodies[before], look.bodies[after]
+    turn = checks.turn_between(a.global_orient, b.global_orient)
+    return bool(np.linalg.norm(b.transl - a.transl) > JUMP or turn > SHARP_TURN)
+
+
+def inspect_masks(look: Look) -> list[Finding]:
+    """Returns what the masks of the training camera show in a few frames."""
+
+    def findings() -> Iterator[Finding]:
+        where, frames = str(look.scene.root), look.sample()
+        unreadable = []
+        for frame in frames:
+            try:
+                look.people[frame] = survey.look_at_person(look.scene, frame, look.camera)
+            except DataError as error:
+                unreadable.append(str(error))
+        for text in unreadable[:3]:
+            yield Finding("error", "masks", text)
+        seen = {frame: person.seen for frame, person in look.people.items()}
+        empty = [frame for frame, person in seen.items() if person.empty]
+        if empty:
+            level = "error" if len(empty) == len(seen) else "doubt"
+            yield Finding(
+                level, "masks", f"{len(empty)} of {len(frames)} frames looked at show nobody: {listed(empty)}",
+                "such frames are left out; check the masks if somebody is in them",
+            )  # fmt: skip
+        doubts = validation.mask_doubts(where, list(seen), list(seen.values()))
+        for text in doubts:
+            yield Finding("doubt", "masks", text)
+        shares = [int(p.crop().sum()) / (p.width * p.height) for p in seen.values() if not p.empty]
+        if shares:
+            text = f"cover {min(shares):.1%} to {max(shares):.1%} of the picture in {len(shares)} frames"
+            yield Finding("ok" if not (doubts or empty or unreadable) else "note", "masks", text)
+
+    return guarded("masks", findings)
+
+
+def posed_bodies(look: Look) -> dict[int, tuple[Array, Array]]:
+    """Returns vertices and joints in the world by frame, where mask and parameters could be read.
+
+    Each is `[V, 3]` and `[24, 3]`, metres.
+    """
+    frames = [f for f, person in look.people.items() if not person.seen.empty and f in look.bodies]
+    return {frame: look.poser.pose(look.bodies[frame]) for frame in frames}

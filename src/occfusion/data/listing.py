@@ -1,0 +1,89 @@
+"""The pictures of a folder, by name: what is there, and what lacks its partner."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from occfusion.errors import DataError
+
+SUFFIXES = (".png", ".jpg", ".jpeg")
+"""What is taken for a picture, in any case of letters."""
+
+MAX_DIGITS = 12
+"""Longest number read from a name; `int` refuses a few thousand digits with an error of its own."""
+
+_NUMBER = re.compile(r"(\d+)(?!.*\d)", re.DOTALL)
+
+
+def pictures_in(folder: Path) -> dict[str, Path]:
+    """Returns the pictures of a folder by their name without suffix, in natural order.
+
+    Raises:
+        DataError: no such folder, no picture in it, or two pictures of one name.
+    """
+    try:
+        found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be read ({error.strerror or error}).") from error
+    if not found:
+        raise DataError(f"{folder}: holds no pictures ({', '.join(SUFFIXES)}).")
+    by_name: dict[str, Path] = {}
+    for path in sorted(found, key=lambda path: natural(path.name)):
+        if path.stem in by_name:
+            raise DataError(f"{path}: there is also {by_name[path.stem].name}; keep one of them.")
+        by_name[path.stem] = path
+    return by_name
+
+
+def natural(name: str) -> list[tuple[int, int, str]]:
+    """Returns a key that sorts numbers inside names by value: `frame_9` before `frame_10`."""
+    parts = re.split(r"(\d+)", name)
+    return [(1, len(p.lstrip("0")), p.lstrip("0")) if p.isdigit() else (0, 0, p) for p in parts]
+
+
+def require_same(names: Iterable[str], what: str, others: Iterable[str], other_what: str) -> None:
+    """Raises DataError naming the first entry that only one of two sets has."""
+    first, second = set(names), set(others)
+    for there, here, missing, have in ((first, second, other_what, what), (second, first, what, other_what)):
+        lacking = sorted(there - here, key=natural)
+        if lacking:
+            more = f" and {len(lacking) - 1} more" if len(lacking) > 1 else ""
+            raise DataError(
+                f"{missing}: has no {lacking[0]!r}{more}, which {have} has ({len(there)} against {len(here)} "
+                "entries). Complete it, or remove what belongs to no frame."
+            )
+
+
+def partners(pictures: Sequence[str], others: dict[str, Path], folder: Path) -> tuple[Path, ...]:
+    """Returns what belongs to each picture: the same name, or else the same last number, as `mask_0007`.
+
+    Raises:
+        DataError: a picture has no partner; names the first. Or a partner belongs to no picture.
+    """
+    if all(name in others for name in pictures):
+        chosen = list(pictures)
+    else:
+        by_number = {_last_number(name): name for name in others}
+        chosen = []
+        for name in pictures:
+            number = _last_number(name)
+            if number is None or number not in by_number:
+                raise DataError(
+                    f"{folder}: has nothing for the picture {name!r} ({len(pictures)} pictures, "
+                    f"{len(others)} entries here). Complete it, or remove the picture."
+                )
+            chosen.append(by_number[number])
+    lost = sorted(set(others) - set(chosen), key=natural)
+    if lost:
+        raise DataError(
+            f"{folder}: {lost[0]!r} belongs to no picture ({len(pictures)} pictures, {len(others)} entries "
+            "here). Remove it, or complete the pictures."
+        )
+    return tuple(others[name] for name in chosen)
+
+
+def _last_number(name: str) -> str | None:
+    found = _NUMBER.search(name)
+    return None if found is None else found[1].lstrip("0")

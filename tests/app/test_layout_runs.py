@@ -1,0 +1,90 @@
+"""Training on layouts other than the original: the command line of each, from folder to figures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from safetensors.torch import load_file
+
+from data import layout_writers as writers
+from data.layout_writers import Source
+from occfusion import app
+from occfusion.synth import SceneSpec, write_scene
+
+CONF = Path(__file__).parents[2] / "conf"
+LIGHT = (
+    "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "evaluation.perceptual=false",
+    "evaluation.curve_images=1", "evaluation.training_stride=2", "trainer.max_steps=3", "optim.steps=3",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
+    spec = SceneSpec(1, "clean", image_size=96, frames=4, cameras=2)
+    return Source(write_scene(tmp_path_factory.mktemp("scenes"), spec, progress=False))
+
+
+def train(source: Source, folder: Path, *overrides: str) -> dict[str, Any]:
+    body = f"body.path={source.folder / 'body.npz'}"
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        config = compose("config", [body, f"output_dir={folder}", *LIGHT, *overrides])
+    return app.run(config, folder_chosen_by_user=True)
+
+
+def test_ocmotion_is_measured_on_visible_pixels(source: Source, tmp_path: Path) -> None:
+    writers.write_w2a(source, tmp_path)
+    metrics = train(
+        source, tmp_path / "run", "dataset=ocmotion", f"dataset.root={tmp_path}", "dataset.scene=0013_02"
+    )
+    regions = metrics["regions"]
+    assert metrics["dataset"] == "ocmotion" and metrics["images"] == 0
+    assert regions["visible"]["psnr"] > 5 and regions["visible"]["mask_iou"] is None
+    assert regions["full"]["psnr"] is None and regions["hidden"]["psnr"] is None
+    scene = json.loads((tmp_path / "run" / "plan.json").read_text())["scene"]
+    assert scene["visible_share_is"] == "estimated" and scene["frames"] == 2  # every second of four
+
+
+def test_video_with_held_out_frames(source: Source, tmp_path: Path) -> None:
+    writers.write_video(source, tmp_path / "mine")
+    metrics = train(
+        source, tmp_path / "run", "dataset=video", f"dataset.root={tmp_path}", "dataset.scene=mine",
+        "dataset.occluded=false", "dataset.test_cameras=[0]", "dataset.train_frames=[0,3,1]",
+        "dataset.test_frames=[3,4,1]",
+    )  # fmt: skip
+    assert metrics["images"] == 1 and metrics["regions"]["full"]["psnr"] > 5
+
+
+def test_every_layout_takes_the_same_first_steps(source: Source, tmp_path: Path) -> None:
+    writers.write_refined(source, tmp_path)
+    writers.write_humannerf(source, tmp_path / "plain")
+    writers.write_w2a(source, tmp_path)
+    writers.write_video(source, tmp_path / "mine")
+    shared = ("dataset.train_frames=[0,4,1]", "dataset.occlusion.kind=none", "evaluation.held_out=false",
+              "evaluation.curve=false", "evaluation.pictures=false", "evaluation.training_views=false")  # fmt: skip
+    runs = {
+        "original": (
+            "dataset=zju",
+            f"dataset.root={source.folder.parent}",
+            f"dataset.scene={source.folder.name}",
+        ),
+        "refined": ("dataset=zju", f"dataset.root={tmp_path}", "dataset.scene=my_377"),
+        "humannerf": ("dataset=zju", f"dataset.root={tmp_path}", "dataset.scene=plain"),
+        "w2a": ("dataset=ocmotion", f"dataset.root={tmp_path}", "dataset.scene=0013_02"),
+        "video": ("dataset=video", f"dataset.root={tmp_path}", "dataset.scene=mine"),
+    }
+    states = {}
+    for name, overrides in runs.items():
+        train(source, tmp_path / "runs" / name, *overrides, *shared)
+        states[name] = load_file(tmp_path / "runs" / name / "optim" / "avatar.safetensors")
+    for name, state in states.items():
+        assert state.keys() == states["original"].keys()
+        for key, value in state.items():
+            wanted = states["original"][key]
+            if value.is_floating_point() and value.numel():
+                close = torch.isclose(value, wanted, rtol=1e-3, atol=1e-5).float().mean()
+                assert close > 0.999, f"{name}, {key}: {close:.4f}"

@@ -1,0 +1,180 @@
+"""`occfusion check` on sound and on broken folders: what it says, its picture, its exit code."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from data import layout_writers as writers
+from data.layout_writers import Source
+from occfusion.__main__ import main
+from occfusion.data.convention import rotation_matrix
+from occfusion.data.findings import Finding, guarded, listed, worst
+from occfusion.data.fit import inspect_fit
+from occfusion.data.inspection import Look, inspect_bodies, inspect_cameras, inspect_masks
+from occfusion.data.mistakes import MISTAKES
+from occfusion.data.opening import open_folder
+from occfusion.data.posing import Poser
+from occfusion.errors import DataError
+from occfusion.synth import SceneSpec, write_scene
+
+SPEC = SceneSpec(1, "clean", image_size=96, frames=4, cameras=2)
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> Path:
+    return write_scene(tmp_path_factory.mktemp("sound"), SPEC, progress=False)
+
+
+@pytest.fixture(autouse=True)
+def wide(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "400")
+
+
+@pytest.fixture
+def scene(sound, tmp_path) -> Source:
+    return Source(Path(shutil.copytree(sound, tmp_path / "data" / "001-clean")))
+
+
+def check(capsys, *arguments: object) -> tuple[int, str]:
+    code = main(["check", *map(str, arguments)])
+    return code, capsys.readouterr().out
+
+
+def change_cameras(scene: Source, key: str, change) -> None:
+    scene.cams[key] = [change(np.array(value)) for value in scene.cams[key]]
+    writers.save_object(scene.folder / "annots.npy", scene.annots)
+
+
+def test_a_sound_folder(scene, capsys, tmp_path):
+    code, said = check(capsys, scene.folder)
+    assert code == 0 and "ready to train" in said and "doubt" not in said and "error" not in said
+    assert "original: 4 frames, 2 cameras" in said and "det R 1.0" in said
+    picture = cv2.imread(str(tmp_path / "check_001-clean.png"))
+    assert picture.shape == (480, 4 * 480, 3)
+    colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
+    assert {(60, 220, 40), (40, 60, 240), (40, 230, 255)} <= colours  # mask, body and joints, as BGR
+
+
+@pytest.mark.parametrize(
+    "write", [writers.write_refined, writers.write_stamped, writers.write_w2a, writers.write_video]
+)
+def test_a_folder_of_other_layouts(write, scene, capsys, tmp_path):
+    target = tmp_path / "other"
+    folder = write(scene, target / "mine" if write is writers.write_video else target)
+    code, said = check(capsys, target, "--body", scene.folder / "body.npz", "--strict")
+    assert code == 0, said
+    assert str(folder) in said and "hidden share by frame" in said
+
+
+def test_without_a_body_file_it_is_said_that_the_fit_is_rough(scene, capsys):
+    (scene.folder / "body.npz").unlink()
+    code, said = check(capsys, scene.folder)
+    assert code == 0 and "the embedded body stands in" in said and "--body SMPL_NEUTRAL.pkl" in said
+
+
+def test_several_errors_are_all_said_at_once(scene, capsys):
+    (scene.folder / "mask" / scene.path(2, 1)).with_suffix(".png").unlink()
+    writers.save_object(
+        scene.folder / "new_params" / "3.npy", dict(scene.parameters(3), Th=np.full((1, 3), np.nan))
+    )
+    change_cameras(scene, "R", lambda R: R * [[1], [-1], [1]])
+    code, said = check(capsys, scene.folder)
+    assert code == 1 and "training would not start" in said
+    for words in ("1 files of 8 views are missing", "bad frames", "NaN", "det = -1", "Camera_B1"):
+        assert words in said, said
+
+
+def test_doubts_matter_when_strict(scene, capsys):
+    for frame in range(4):
+        moved = scene.parameters(frame)
+        writers.save_object(
+            scene.folder / "new_params" / f"{frame}.npy", dict(moved, Th=moved["Th"] + [[0.18, 0.0, 0.0]])
+        )
+    assert check(capsys, scene.folder)[0] == 0
+    code, said = check(capsys, scene.folder, "--strict")
+    assert code == 2 and "look at the doubts first" in said and "IoU" in said
+
+
+def test_a_folder_of_nothing_known(tmp_path, capsys):
+    code, said = check(capsys, tmp_path)
+    assert code == 1 and "no layout that is known here" in said
+
+
+def test_code_in_a_file_is_reported_and_not_run(scene, capsys, tmp_path):
+    import os
+
+    class Runs:
+        def __reduce__(self):
+            return os.system, (f"touch {tmp_path / 'ran'}",)
+
+    writers.save_object(scene.folder / "annots.npy", {"cams": Runs(), "ims": []})
+    code, said = check(capsys, scene.folder)
+    assert code == 1 and "not allowed" in said and not (tmp_path / "ran").exists()
+
+
+def looked(scene: Source) -> Look:
+    poser = Poser(scene.body)
+    look = Look(open_folder(scene.folder, poser.pelvis)[1], poser)
+    for part in (inspect_cameras, inspect_bodies, inspect_masks):
+        part(look)
+    return look
+
+
+def broken(name: str, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A right camera written down with a known mistake, in metres."""
+    return {
+        "R is transposed (camera to world)": (R.T, t),
+        "R and T are the camera's place, not world to camera": (R.T, -R.T @ t),
+        "T is the camera's centre": (R, -R.T @ t),
+        "T is 1000 times too large (millimetres)": (R, 1000 * t),
+        "T is 1000 times too small (metres read as millimetres)": (R, t / 1000),
+        "camera axes are OpenGL's (y up, z backward)": (
+            np.diag([1.0, -1, -1]) @ R,
+            np.diag([1.0, -1, -1]) @ t,
+        ),
+    }[name]
+
+
+@pytest.mark.parametrize("name", sorted(MISTAKES))
+def test_known_mistakes_of_cameras_are_named(name, scene):
+    look = looked(scene)
+    from dataclasses import replace
+
+    right = look.sound[0]
+    R, t = broken(name, right.R, right.t)
+    look.sound[0] = replace(right, R=R, t=t)
+    found = {finding.topic: finding for finding in inspect_fit(look)}
+    assert found["fit"].level in ("doubt", "error") and name in found["fit"].cure, found["fit"]
+
+
+def test_frames_that_jump_are_named(scene):
+    moved = scene.parameters(2)
+    turned = rotation_matrix(moved["Rh"][0].astype(float)) @ rotation_matrix(np.array([0.0, 0.0, 2.0]))
+    writers.save_object(
+        scene.folder / "new_params" / "2.npy", dict(moved, Rh=cv2.Rodrigues(turned)[0].reshape(1, 3))
+    )
+    look = looked(scene)
+    motion = [finding for finding in inspect_bodies(look) if finding.topic == "motion"]
+    assert len(motion) == 1 and "2 frames jump or turn sharply" in motion[0].text and "2, 3" in motion[0].text
+
+
+def test_settings(scene, capsys):
+    assert main(["check", str(scene.folder), "--camera", "5"]) == 1
+    assert "the scene has the cameras 0..1" in capsys.readouterr().err
+
+
+def test_words():
+    assert listed(range(10), 3) == "0, 1, 2 and 7 more" and listed([1]) == "1"
+    assert worst([]) == "ok" and worst([Finding("doubt", "a", "b"), Finding("note", "a", "b")]) == "doubt"
+
+    def fails():
+        yield Finding("ok", "a", "first")
+        raise DataError("second")
+
+    assert [finding.text for finding in guarded("a", fails)] == ["first", "second"]
