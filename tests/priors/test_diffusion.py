@@ -37,7 +37,9 @@ def test_variance_is_preserved() -> None:
 
 
 # each ancestral step takes the clean signal for known, which narrows the samples by O(1 / steps)
-@pytest.mark.parametrize(("eta", "steps", "tolerance"), [(0.0, 200, 0.02), (1.0, 200, 0.05), (1.0, 800, 0.015)])
+@pytest.mark.parametrize(
+    ("eta", "steps", "tolerance"), [(0.0, 200, 0.02), (1.0, 200, 0.05), (1.0, 800, 0.015)]
+)
 def test_samples_of_a_gaussian_have_its_mean_and_spread(eta: float, steps: int, tolerance: float) -> None:
     torch.manual_seed(0)
     noise = torch.randn(1, 1, 150, 150, dtype=torch.float64)
