@@ -15,6 +15,7 @@ from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.human import Body
+from occfusion.priors.calibration import calibrate
 from occfusion.priors.masks import MaskPrior
 from occfusion.priors.moments import Moment, look
 from occfusion.priors.registry import make_mask_prior
@@ -55,6 +56,8 @@ def run_init(
     wanted = stage.wanted
     if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
         wanted = [k for k in wanted if k == data.position_at(0)]
+    if wanted and settings.init.calibrate and settings.init.source == "prior":
+        stage.calibration = calibrate(prior, moments, read, body)
     if wanted:
         _predict(stage, read, wanted, settings)
     record = folder / "init" / "stage.json"

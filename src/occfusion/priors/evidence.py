@@ -1,8 +1,8 @@
 """What a video says about where an occluder stands, from masks and body meshes alone.
 
-A pixel well inside the body's projection that does not show the person is hidden. What lies near such pixels may be
-hidden too; the rest of what does not show the person is background. With a camera that stands still, a pixel through
-which the person is seen in other frames is not behind a thing that stands still.
+A pixel well inside the body's projection that does not show the person is hidden. Beside the body, a pixel may be
+hidden as well when the nearest pixel of the person is: an occluder does not end where the body does. The rest of what
+does not show the person is background.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ CORE = 0.01
 """Of the person's size in the picture: how far inside the body's outline a pixel must lie to be surely the body."""
 REACH = 0.06
 """Of the same: how far from a hidden pixel clothes and hair may be hidden as well."""
+GROWTH = 2.5
+"""Of `CORE`: how far the hidden part of the core is grown back into the body's outline."""
 HIDDEN_SHARE = 0.03
 """Of the core: less hidden than this is put down to errors of pose and mask, and the person counts as whole."""
 
@@ -62,9 +64,22 @@ def gather_evidence(bodies: Sequence[Mask], visible: Sequence[Mask]) -> list[Evi
         hidden = _without_specks(core & ~seen, CORE * person_size(body))
         size = int(core.sum())
         share = float(hidden.sum()) / size if size else 0.0
-        near = _grown(hidden, REACH * person_size(body))
-        found.append(Evidence(hidden, ~seen & ~near, share, share > HIDDEN_SHARE))
+        unknown = _unknown(hidden, body, seen)
+        found.append(Evidence(hidden, ~seen & ~unknown, share, share > HIDDEN_SHARE))
     return found
+
+
+def _unknown(hidden: Mask, body: Mask, seen: Mask) -> Mask:
+    """Returns what may be hidden: the hidden part of the body and what lies nearer to it than to what is seen."""
+    size = person_size(body)
+    part = _grown(hidden, GROWTH * CORE * size) & body & ~seen
+    if not part.any():
+        return part
+    to_hidden = cv2.distanceTransform((~part).astype(np.uint8), cv2.DIST_L2, 5)
+    to_seen = cv2.distanceTransform((~seen).astype(np.uint8), cv2.DIST_L2, 5)
+    if not seen.any():
+        to_seen = np.full_like(to_hidden, np.inf)
+    return np.asarray((to_hidden <= to_seen) & (to_hidden < REACH * size) & ~seen)
 
 
 def _disk(radius: float) -> NDArray[np.uint8]:

@@ -71,5 +71,10 @@ def checked_probability(prior: MaskPrior, observation: Observation) -> NDArray[n
             f"prior {prior.name}, frame {observation.name}: {int((~np.isfinite(raw)).sum())} pixels of its mask are "
             f"not finite; the masks finished before stay. With prior=sd15 try prior.dtype=float32"
         )
-    known = np.where(observation.visible, 1.0, np.clip(raw, 0.0, 1.0))
+    return with_what_is_known(np.clip(raw, 0.0, 1.0), observation)
+
+
+def with_what_is_known(probability: NDArray[np.float32], observation: Observation) -> NDArray[np.float32]:
+    """Returns a probability `[H, W]` set to 1 where the person is seen and to 0 on known background."""
+    known = np.where(observation.visible, 1.0, probability)
     return np.where(observation.background & ~observation.visible, 0.0, known).astype(np.float32)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from occfusion.files.atomic import write_json, write_png
 from occfusion.files.images import read_mask
 from occfusion.human.body import Body
+from occfusion.priors.calibration import Calibration
 from occfusion.priors.consistency import body_flow, smoothed, warped_iou
-from occfusion.priors.masks import MaskPrior, checked_probability
+from occfusion.priors.masks import MaskPrior, checked_probability, with_what_is_known
 from occfusion.priors.moments import Moment
 from occfusion.stages.base import Stage
 from occfusion.stages.settings import InitSettings
@@ -63,6 +64,7 @@ class InitStage(Stage):
         self.folder = folder
         self.identity = {**identity, **vars(settings), **prior.describe()}
         self.records = self._earlier()
+        self.calibration: Calibration | None = None
         self._read = read
         self._positions = {moment.frame: k for k, moment in enumerate(moments)}
         self._probabilities: dict[int, NDArray[np.float32]] = {}
@@ -117,7 +119,11 @@ class InitStage(Stage):
         if position not in self._probabilities:
             moment, frame = self.moments[position], self._read(position)
             if moment.evidence.occluded:
-                answer = checked_probability(self._prior[0], moment.observation(frame, self._body[0]))
+                observation = moment.observation(frame, self._body[0])
+                answer = checked_probability(self._prior[0], observation)
+                if self.calibration is not None:
+                    answer = self.calibration.apply(answer, moment, frame.camera, self._body[0])
+                    answer = with_what_is_known(answer, observation)
             else:
                 answer = frame.visible_mask.cpu().numpy().astype(np.float32)
             self._probabilities[position] = answer
@@ -147,7 +153,10 @@ class InitStage(Stage):
     def write_manifest(self, **more: Any) -> None:
         """Writes what was done, with what."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        content = {"identity": self.identity, "frames": dict(sorted(self.records.items())), **more}
+        fitted = None if self.calibration is None else self.calibration.describe()
+        content = {
+            "identity": self.identity, "calibration": fitted, "frames": dict(sorted(self.records.items())), **more,
+        }  # fmt: skip
         write_json(self.folder / MANIFEST, content)
 
     def consistency(self) -> float | None:

@@ -30,11 +30,13 @@ class InitSettings:
         source: `prior`, or `truth`: the data set's own complete masks, an upper bound for synthetic scenes.
         threshold: probability from which on a hidden pixel counts as the person.
         smoothing: weight of the frame before and of the frame after, beside 1 for the frame itself.
+        calibrate: fit the prior's answers to the scene on what the scene shows.
     """
 
     source: str = "prior"
     threshold: float = 0.5
     smoothing: float = 0.5
+    calibrate: bool = True
 
 
 @dataclass

@@ -1,0 +1,240 @@
+"""Fits a prior's answers to the scene at hand, on what the scene itself shows.
+
+Parts of the person that are seen are hidden on purpose, the prior completes them, and a logistic regression learns
+how its answer and the body mesh, with the clothes worn over it, are best combined to predict what is there. An exact
+body then counts for much, a poor one for little, and loose clothes are met where they are worn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from occfusion.geometry.zbuffer import rasterize_mesh
+from occfusion.human.body import Body
+from occfusion.priors.evidence import Evidence, person_size
+from occfusion.priors.masks import MaskPrior, checked_probability
+from occfusion.priors.moments import Moment
+from occfusion.types import Camera, Frame
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FRAMES = 16
+"""On which the calibration is fitted."""
+SHIFT = 0.25
+"""Of the person's size: how far a borrowed occluder may stand from where it was."""
+NEAR = 0.12
+"""Metres from the body's outline: what lies farther decides nothing."""
+SCALE = 0.02
+"""Metres: the unit of distance in the regression."""
+MAX_LOGIT = 6.0
+STRENGTH = 30.0
+"""Of the prior belief that the prior's answer alone is right, in pixels."""
+NEWTON_STEPS = 12
+STILL = (1.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How an answer is corrected: `sigmoid(w0 logit(p) + w1 s / SCALE + w2)`, s the distance into the clothed body.
+
+    Attributes:
+        weights: w0, w1, w2.
+        thickness: how far clothes stand off at each vertex of the body, `[V]`, metres.
+        pixels: hidden on purpose, that it was fitted to.
+        before: IoU on those pixels of the answer alone.
+        after: IoU of the corrected answer; of the same pixels, so it is no figure of quality.
+    """
+
+    weights: tuple[float, float, float]
+    thickness: Floats
+    pixels: int = 0
+    before: float | None = None
+    after: float | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """Returns what was fitted, for the manifest."""
+        return {
+            "weights": [round(w, 4) for w in self.weights],
+            "thickness_mm": round(1000.0 * float(self.thickness.mean()), 2),
+            "pixels": self.pixels,
+            "iou_before": self.before,
+            "iou_after": self.after,
+        }
+
+    def apply(
+        self, probability: NDArray[np.float32], moment: Moment, camera: Camera, body: Body
+    ) -> NDArray[np.float32]:
+        """Returns the corrected probability, `[H, W]`."""
+        if self.weights == STILL:
+            return probability
+        outline = _outline(moment, camera, body)
+        scores = _features(probability, outline.depth_inside(self.thickness)) @ np.array(self.weights)
+        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(scores, -30.0, 30.0))), np.float32)
+
+
+@dataclass(frozen=True)
+class _Outline:
+    """Distance of each pixel to the body's outline, metres, inside positive; and the vertex that it is nearest to."""
+
+    inside: Floats
+    vertex: NDArray[np.int64]
+
+    def depth_inside(self, thickness: Floats) -> Floats:
+        return self.inside + thickness[self.vertex]
+
+
+def _outline(moment: Moment, camera: Camera, body: Body) -> _Outline:
+    faces = body.faces.cpu().numpy()
+    seen = rasterize_mesh(moment.motion.pixels, moment.motion.depths, faces, camera.width, camera.height)
+    covered = seen.face >= 0
+    metres = float(np.median(moment.motion.depths)) / float(camera.K[0, 0])
+    outside, labels = cv2.distanceTransformWithLabels(
+        (~covered).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    within = cv2.distanceTransform(covered.astype(np.uint8), cv2.DIST_L2, 5)
+    source = np.zeros(int(labels.max()) + 1, np.int64)
+    source[labels[covered]] = np.flatnonzero(covered.ravel())
+    corner = np.take_along_axis(
+        faces[np.maximum(seen.face, 0)],
+        seen.barycentrics.argmax(axis=-1)[..., None].astype(np.int64),
+        axis=-1,
+    )[..., 0]
+    nearest = corner.ravel()[source[labels]]
+    distance = np.where(covered, within - 0.5, 0.5 - outside) * metres
+    return _Outline(distance.astype(np.float64), nearest.astype(np.int64))
+
+
+def _features(probability: NDArray[np.floating], depth_inside: Floats) -> Floats:
+    p = np.clip(np.asarray(probability, np.float64), 1e-6, 1.0 - 1e-6)
+    logit = np.clip(np.log(p / (1.0 - p)), -MAX_LOGIT, MAX_LOGIT)
+    return np.stack([logit, np.clip(depth_inside, -NEAR, NEAR) / SCALE, np.ones_like(p)], axis=-1)
+
+
+def measure_thickness(
+    moments: Sequence[Moment], read: Callable[[int], Frame], body: Body, rounds: int = 40
+) -> Floats:
+    """Returns how far clothes stand off the body at each vertex, `[V]`, metres.
+
+    For each point of the body's outline in each frame: how many of the known pixels outside and nearest to it show the
+    person. Means over frames, spread over the mesh where little was seen.
+    """
+    count = body.num_vertices
+    shown, rim = np.zeros(count), np.zeros(count)
+    for position, moment in enumerate(moments):
+        frame = read(position)
+        visible = frame.visible_mask.cpu().numpy()
+        outline = _outline(moment, frame.camera, body)
+        metres = float(np.median(moment.motion.depths)) / float(frame.camera.K[0, 0])
+        known = visible | moment.evidence.background
+        edge = (outline.inside < 0) & (outline.inside > -1.0 * metres)
+        # a stretch of outline counts only where what lies before it is known
+        near = (outline.inside < 0) & (outline.inside > -0.5 * NEAR)
+        unknown = np.bincount(outline.vertex[near & ~known], minlength=count)
+        clear = unknown[outline.vertex] == 0
+        worn = near & clear & _attached(visible, outline.inside >= 0)
+        shown += np.bincount(outline.vertex[worn], minlength=count) * metres
+        rim += np.bincount(outline.vertex[edge & clear], minlength=count)
+    return _spread(shown, rim, body.faces.cpu().numpy(), rounds)
+
+
+def _attached(visible: Mask, covered: Mask) -> Mask:
+    """Returns the visible pixels that hang together with those on the body."""
+    _, labels = cv2.connectedComponents(visible.astype(np.uint8))
+    kept = np.unique(labels[visible & covered])
+    return visible & np.isin(labels, kept)
+
+
+def _spread(total: Floats, weight: Floats, faces: NDArray[np.int64], rounds: int) -> Floats:
+    """Returns `total / weight`, averaged over neighbours on the mesh again and again; weight carries belief."""
+    if weight.sum() == 0:
+        return np.zeros_like(total)
+    mean = float(total.sum() / weight.sum())
+    a, b = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
+    degree = np.maximum(np.bincount(a, minlength=len(total)), 1)
+    for _ in range(rounds):
+        total = 0.5 * total + 0.5 * np.bincount(a, total[b], minlength=len(total)) / degree
+        weight = 0.5 * weight + 0.5 * np.bincount(a, weight[b], minlength=len(weight)) / degree
+    return (total + 0.5 * mean) / (weight + 0.5)
+
+
+def calibrate(
+    prior: MaskPrior, moments: Sequence[Moment], read: Callable[[int], Frame], body: Body
+) -> Calibration:
+    """Returns the calibration of a prior to a scene; the prior's answer is left as it is where nothing can be learnt.
+
+    Args:
+        prior: to be calibrated.
+        moments: of all training frames, in order.
+        read: gives the training frame at a position.
+        body: of the scene.
+    """
+    thickness = measure_thickness(moments, read, body)
+    occluded = [k for k, moment in enumerate(moments) if moment.evidence.occluded]
+    shown = sorted(range(len(moments)), key=lambda k: moments[k].evidence.hidden_share)[: 2 * FRAMES]
+    chosen = sorted(shown)[:: max(1, len(shown) // FRAMES)][:FRAMES]
+    rng = np.random.default_rng(0)
+    rows, labels = [], []
+    for position in chosen:
+        moment, frame = moments[position], read(position)
+        borrowed = moments[int(rng.choice(occluded))]
+        hidden = _borrowed(borrowed, moment, rng)
+        visible = frame.visible_mask.cpu().numpy()
+        known = visible | moment.evidence.background
+        observation = moment.observation(frame, body)
+        observation = replace(
+            observation, visible=visible & ~hidden, background=moment.evidence.background & ~hidden
+        )
+        answer = checked_probability(prior, observation)
+        depth = _outline(moment, frame.camera, body).depth_inside(thickness)
+        asked = hidden & known & (np.abs(depth) < NEAR)
+        rows.append(_features(answer[asked], depth[asked]))
+        labels.append(visible[asked])
+    x, y = np.concatenate(rows), np.concatenate(labels)
+    if len(y) < 100 or y.all() or not y.any():
+        return Calibration(STILL, thickness, len(y))
+    weights = _logistic(x, y)
+    return Calibration(
+        weights=(float(weights[0]), float(weights[1]), float(weights[2])),
+        thickness=thickness,
+        pixels=len(y),
+        before=_iou(x[:, 0] > 0.0, y),
+        after=_iou(x @ weights > 0.0, y),
+    )
+
+
+def _borrowed(occluded: Moment, moment: Moment, rng: np.random.Generator) -> Mask:
+    """Returns what is unknown of one frame, moved with the body to about where it is in another."""
+    unknown = _unknown(occluded.evidence)
+    middle = [0.5 * (m.motion.pixels.min(axis=0) + m.motion.pixels.max(axis=0)) for m in (occluded, moment)]
+    size = person_size(moment.evidence.hidden | ~moment.evidence.background)
+    shift = middle[1] - middle[0] + SHIFT * size * rng.uniform(-1.0, 1.0, 2)
+    move = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    moved = cv2.warpAffine(unknown.astype(np.uint8), move, unknown.shape[::-1], flags=cv2.INTER_NEAREST)
+    return moved.astype(bool)
+
+
+def _unknown(evidence: Evidence) -> Mask:
+    return cv2.dilate(evidence.hidden.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=3).astype(bool)
+
+
+def _logistic(x: Floats, y: Mask) -> Floats:
+    """Returns the weights of a logistic regression drawn towards `STILL`, by Newton's method."""
+    still, target = np.array(STILL), y.astype(np.float64)
+    weights = still.copy()
+    for _ in range(NEWTON_STEPS):
+        p = 1.0 / (1.0 + np.exp(-np.clip(x @ weights, -30.0, 30.0)))
+        slope = x.T @ (p - target) + STRENGTH * (weights - still)
+        curvature = (x * (p * (1.0 - p))[:, None]).T @ x + STRENGTH * np.eye(3)
+        weights = weights - np.linalg.solve(curvature, slope)
+    return weights
+
+
+def _iou(a: Mask, b: Mask) -> float:
+    return round(float((a & b).sum() / max(1, (a | b).sum())), 4)

@@ -1,0 +1,256 @@
+"""The initialisation stage: what is written, what is not computed again, and what a broken prior leads to."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from occfusion.data.zju import ZjuDataModule
+from occfusion.errors import DataError, NumericsError
+from occfusion.files.images import read_mask
+from occfusion.human import Body, load_body
+from occfusion.priors.calibration import STILL, Calibration, _logistic, calibrate, measure_thickness
+from occfusion.priors.masks import MaskPrior, Observation
+from occfusion.priors.moments import Moment, look
+from occfusion.priors.weights import load_silhouette_net, save_silhouette_net
+from occfusion.stages.init import InitStage, mask_path
+from occfusion.stages.settings import InitSettings
+from occfusion.types import Frame
+
+SCENE = "001-clean"
+
+
+class CountingPrior(MaskPrior):
+    """Answers with one value, and counts how often it was asked."""
+
+    name = "counting"
+
+    def __init__(self, value: float = 0.5) -> None:
+        self.value, self.asked = value, 0
+
+    def describe(self) -> dict[str, Any]:
+        return {"prior": self.name, "value": self.value}
+
+    def probability(self, observation: Observation) -> np.ndarray:
+        self.asked += 1
+        return np.full(observation.visible.shape, self.value, np.float32)
+
+
+@pytest.fixture(scope="module")
+def body(scene_root: Path) -> Body:
+    return load_body(scene_root / SCENE / "body.npz")
+
+
+@pytest.fixture(scope="module")
+def data(scene_root: Path, body: Body) -> ZjuDataModule:
+    return ZjuDataModule(scene_root, SCENE, body, image_size=96, occlusion={"kind": "strip", "share": 0.5})
+
+
+@pytest.fixture(scope="module")
+def moments(data: ZjuDataModule, body: Body) -> list[Moment]:
+    return look((data.train_frame(k, truth=False) for k in range(len(data.train_indices))), body)
+
+
+Make = Callable[..., InitStage]
+
+
+@pytest.fixture
+def make(data: ZjuDataModule, body: Body, moments: list[Moment], tmp_path: Path) -> Make:
+    def stage(prior: MaskPrior, **settings: Any) -> InitStage:
+        def read(k: int) -> Frame:
+            return data.train_frame(k, truth=False)
+
+        return InitStage(
+            prior, body, moments, read, InitSettings(**settings), tmp_path / "masks", {"data": "x"}
+        )
+
+    return stage
+
+
+def run(stage: InitStage, data: ZjuDataModule) -> None:
+    for position in stage.wanted:
+        stage.predict_step(data.train_frame(position, truth=False), 0)
+        stage.on_predict_batch_end()
+
+
+def test_occluded_frames_are_completed_and_the_others_passed_through(
+    make: Make, data: ZjuDataModule, moments: list[Moment]
+) -> None:
+    prior = CountingPrior(0.9)
+    stage = make(prior, smoothing=0.0)
+    run(stage, data)
+    occluded = [moment.evidence.occluded for moment in moments]
+    assert any(occluded)
+    assert not all(occluded)
+    assert prior.asked == sum(occluded)
+    for position, moment in enumerate(moments):
+        frame = data.train_frame(position)
+        mask = read_mask(mask_path(stage.folder, moment.frame))
+        visible = frame.visible_mask.numpy()
+        assert not (visible & ~mask).any()
+        assert not (mask & moment.evidence.background).any()
+        if not moment.evidence.occluded:
+            assert (mask == visible).all()
+        assert (
+            stage.folder / "uncertainty" / f"{moment.frame:06d}.png"
+        ).is_file() is moment.evidence.occluded
+
+
+def test_the_strip_of_the_first_frames_is_what_is_found(data: ZjuDataModule, moments: list[Moment]) -> None:
+    shares = [float((~f.visible_mask & f.truth.mask).sum() / f.truth.mask.sum()) for f in data.train_frames()]
+    for share, moment in zip(shares, moments, strict=True):
+        if share == 0.0:
+            assert not moment.evidence.occluded
+        if share > 0.15:
+            assert moment.evidence.occluded
+
+
+def test_an_interrupted_run_continues_and_other_settings_begin_anew(make: Make, data: ZjuDataModule) -> None:
+    prior = CountingPrior()
+    stage = make(prior, smoothing=0.0)
+    run(stage, data)
+    first = prior.asked
+    removed = mask_path(stage.folder, next(m.frame for m in stage.moments if m.evidence.occluded))
+    removed.unlink()
+    again = make(prior, smoothing=0.0)
+    assert len(again.wanted) == 1
+    run(again, data)
+    assert prior.asked == first + 1
+    assert removed.is_file()
+    assert make(prior, smoothing=0.0).wanted == []
+    assert len(make(prior, smoothing=0.5).wanted) == len(stage.moments)
+    assert len(make(CountingPrior(0.4), smoothing=0.0).wanted) == len(stage.moments)
+
+
+def test_nan_stops_with_the_prior_and_the_frame_named(make: Make, data: ZjuDataModule) -> None:
+    stage = make(CountingPrior(float("nan")), smoothing=0.0)
+    position = next(k for k, m in enumerate(stage.moments) if m.evidence.occluded)
+    frame = data.train_frame(position, truth=False)
+    with pytest.raises(NumericsError, match=rf"prior counting, frame {frame.name}.*not finite"):
+        stage.predict_step(frame, 0)
+    assert not mask_path(stage.folder, frame.index).exists()
+
+
+def test_a_body_outside_the_picture_is_named(data: ZjuDataModule, body: Body) -> None:
+    frame = data.train_frame(0, truth=False)
+    pose = type(frame.pose)(**{**vars(frame.pose), "transl": frame.pose.transl + 100.0})
+    with pytest.raises(DataError, match=f"{frame.name}.*outside the picture"):
+        look([type(frame)(**{**vars(frame), "pose": pose})], body)
+
+
+def test_a_frame_with_everything_hidden_is_completed_and_counted(
+    data: ZjuDataModule, body: Body, tmp_path: Path
+) -> None:
+    frame = data.train_frame(0, truth=False)
+    nothing = type(frame)(**{**vars(frame), "visible_mask": torch.zeros_like(frame.visible_mask)})
+    moments = look([nothing], body)
+    stage = InitStage(CountingPrior(0.9), body, moments, lambda _: nothing, InitSettings(), tmp_path, {})
+    record = stage.predict_step(nothing, 0)
+    assert record["status"] == "completed, nothing seen"
+    assert record["hidden_share"] > 0.7
+
+
+def test_manifest_says_with_what(make: Make, data: ZjuDataModule) -> None:
+    stage = make(CountingPrior(), smoothing=0.5)
+    stage.calibration = Calibration(STILL, np.zeros(6890))
+    run(stage, data)
+    stage.write_manifest(consistency=stage.consistency())
+    content = json.loads((stage.folder / "manifest.json").read_text())
+    assert content["identity"]["prior"] == "counting"
+    assert content["identity"]["data"] == "x"
+    assert content["calibration"]["weights"] == [1.0, 0.0, 0.0]
+    assert set(content["frames"]) == {f"{m.frame:06d}" for m in stage.moments}
+    assert 0.0 < content["consistency"] <= 1.0
+
+
+# -- calibration ----------------------------------------------------------------------------------------------
+
+
+def test_logistic_regression_against_an_optimiser() -> None:
+    from scipy.optimize import minimize
+
+    rng = np.random.default_rng(0)
+    x = np.column_stack([rng.normal(size=(400, 2)), np.ones(400)])
+    y = rng.random(400) < 1 / (1 + np.exp(-x @ np.array([0.5, 2.0, -0.3])))
+
+    def loss(w: np.ndarray) -> float:
+        return float(
+            np.logaddexp(0.0, np.where(y, -1, 1) * (x @ w)).sum() + 15.0 * np.square(w - [1, 0, 0]).sum()
+        )
+
+    assert np.allclose(_logistic(x, y), minimize(loss, np.zeros(3), tol=1e-12).x, atol=1e-4)
+
+
+def test_a_prior_that_knows_nothing_is_calibrated_to_the_body(
+    data: ZjuDataModule, body: Body, moments: list[Moment]
+) -> None:
+    found = calibrate(CountingPrior(0.5), moments, lambda k: data.train_frame(k, truth=False), body)
+    assert found.pixels > 100
+    assert found.weights[1] > 0.5
+    assert found.after is not None
+    assert found.before is not None
+    assert found.after > found.before + 0.2
+
+
+def test_nothing_to_learn_leaves_the_answer_as_it_is(body: Body, data: ZjuDataModule) -> None:
+    frame = data.train_frame(0, truth=False)
+    nothing = type(frame)(**{**vars(frame), "visible_mask": torch.zeros_like(frame.visible_mask)})
+    moments = look([nothing], body)
+    found = calibrate(CountingPrior(), moments, lambda _: nothing, body)
+    assert found.weights == STILL
+    answer = np.random.default_rng(0).random((96, 96)).astype(np.float32)
+    assert np.array_equal(found.apply(answer, moments[0], frame.camera, body), answer)
+
+
+def test_thickness_of_clothes_is_what_stands_off_the_body(data: ZjuDataModule, body: Body) -> None:
+    import cv2
+
+    from occfusion.priors.bodyview import view_body
+
+    frames = []
+    for position in range(len(data.train_indices)):
+        frame = data.train_frame(position, truth=False)
+        moment = look([frame], body)[0]
+        camera = frame.camera
+        covered = view_body(*vars(moment.motion).values(), body.faces.numpy(), 96, 96).coverage > 0.5
+        dressed = cv2.dilate(covered.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+        frames.append(type(frame)(**{**vars(frame), "visible_mask": torch.from_numpy(dressed)}))
+    moments = look(frames, body)
+    found = measure_thickness(moments, lambda k: frames[k], body)
+    pixel = float(np.median(moments[0].motion.depths)) / float(camera.K[0, 0])
+    assert found.mean() == pytest.approx(pixel, rel=0.25)
+    naked = [
+        type(f)(**{**vars(f), "visible_mask": torch.from_numpy(m.evidence.background)})
+        for f, m in zip(frames, moments, strict=True)
+    ]
+    for frame, moment in zip(naked, moments, strict=True):
+        covered = view_body(*vars(moment.motion).values(), body.faces.numpy(), 96, 96).coverage > 0.5
+        frame.visible_mask.copy_(torch.from_numpy(covered))
+    assert measure_thickness(look(naked, body), lambda k: naked[k], body).mean() < 0.35 * pixel
+
+
+# -- weights --------------------------------------------------------------------------------------------------
+
+
+def test_weights_come_back_and_a_changed_value_is_noticed(tmp_path: Path) -> None:
+    net, card = load_silhouette_net()
+    path = tmp_path / "w.safetensors"
+    save_silhouette_net(path, net, card["widths"], card["depth"], {"data": "test"})
+    back, again = load_silhouette_net(path)
+    assert again["data"] == "test"
+    for a, b in zip(net.parameters(), back.parameters(), strict=True):
+        assert torch.equal(a, b)
+    content = bytearray(path.read_bytes())
+    content[-3] ^= 0x40
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="hash"):
+        load_silhouette_net(path)
+    path.write_bytes(bytes(content[: len(content) // 2]))
+    with pytest.raises(DataError, match=r"w\.safetensors"):
+        load_silhouette_net(path)
+    with pytest.raises(DataError, match="no such file"):
+        load_silhouette_net(tmp_path / "none.safetensors")
