@@ -28,7 +28,7 @@ def scene_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def train(scene_root: Path, tmp_path: Path) -> Callable[..., tuple[Path, dict[str, Any]]]:
     def run(*overrides: str, folder: str = "run", chosen: bool = True) -> tuple[Path, dict[str, Any]]:
         fixed = [
-            "dataset=zju", f"dataset.root={scene_root}", f"dataset.scene={SCENE}",
+            "variant=A", "dataset=zju", f"dataset.root={scene_root}", f"dataset.scene={SCENE}",
             f"body.path={scene_root / SCENE / 'body.npz'}", f"output_dir={tmp_path / folder}",
             "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "evaluation.perceptual=false",
             "evaluation.curve_images=1", "evaluation.training_stride=9", "dataset.test_frames=[0,10,9]",

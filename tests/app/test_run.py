@@ -11,6 +11,9 @@ import torch
 from safetensors.torch import load_file
 
 from occfusion.errors import ConfigError
+from occfusion.files.images import read_mask
+from occfusion.stages.targets import Target
+from occfusion.types import Box, Frame
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 CONTRACT_FILES = (
@@ -29,8 +32,9 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
         assert torch.equal(a[name], b[name]), name
 
 
-@pytest.mark.parametrize("variant", ["gauhuman", "A", "B"])
-@pytest.mark.parametrize("stage", ["all", "optim"])
+@pytest.mark.parametrize(
+    ("variant", "stage"), [(v, s) for v in ("gauhuman", "A", "B") for s in ("all", "optim")]
+)
 def test_fast_dev_run(train: Train, variant: str, stage: str) -> None:
     folder, metrics = train(f"variant={variant}", f"stage={stage}", "trainer.fast_dev_run=true")
     assert metrics["variant"] == variant
@@ -39,7 +43,7 @@ def test_fast_dev_run(train: Train, variant: str, stage: str) -> None:
 
 
 def test_run_folder_holds_what_the_interface_promises(train: Train) -> None:
-    folder, metrics = train("optim.steps=4")
+    folder, metrics = train("variant=B", "optim.steps=4")
     for file in CONTRACT_FILES:
         assert (folder / file).stat().st_size > 0, file
     assert json.loads((folder / "metrics.json").read_text()) == metrics
@@ -148,3 +152,57 @@ def test_embedded_default_and_the_same_scene_through_the_reader_agree(train: Tra
         *common, f"dataset.root={scene.parent}", f"body.path={scene / 'body.npz'}", folder="zju"
     )
     assert_same(parameters(first), parameters(second))
+
+
+def test_stage_init_alone_writes_masks_and_is_not_done_again(
+    train: Train, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, metrics = train("variant=B", "stage=init")
+    assert metrics == {}
+    first = (folder / "masks" / "manifest.json").read_text()
+    record = json.loads((folder / "init" / "stage.json").read_text())
+    assert 0 < record["completed"] <= record["frames"] == 10
+
+    def fail(*_: object) -> None:
+        raise AssertionError("a prior was loaded although nothing is left to do")
+
+    monkeypatch.setattr("occfusion.priors.embedded.EmbeddedMaskPrior.probability", fail)
+    train("variant=B", "stage=init")
+    assert (folder / "masks" / "manifest.json").read_text() == first
+
+
+def test_a_scene_without_occlusion_asks_no_prior(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise AssertionError("a prior was made although nothing is hidden")
+
+    monkeypatch.setattr("occfusion.init_run.make_mask_prior", fail)
+    folder, _ = train("variant=B", "optim.steps=2", "dataset.occlusion.kind=none")
+    plan = json.loads((folder / "plan.json").read_text())
+    decision = next(d for d in plan["decisions"] if d["part"] == "complete masks")
+    assert not decision["used"]
+    assert decision["reason"].startswith("0 of 10")
+    assert not (folder / "masks").exists()
+
+
+def test_complete_masks_are_what_the_optimisation_is_given(
+    train: Train, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from occfusion.stages import optim
+
+    seen = []
+    crop_frame = optim.crop_frame
+
+    def spy(frame: Frame, box: Box) -> Target:
+        seen.append(frame)
+        return crop_frame(frame, box)
+
+    monkeypatch.setattr(optim, "crop_frame", spy)
+    folder, _ = train("variant=B", "optim.steps=10")
+    assert len(seen) == 10
+    added = 0
+    for frame in seen:
+        assert frame.complete_mask is not None
+        written = read_mask(folder / "masks" / f"{frame.index:06d}.png")
+        assert (frame.complete_mask.numpy() == written).all()
+        added += int((frame.complete_mask & ~frame.visible_mask).sum())
+    assert added > 0

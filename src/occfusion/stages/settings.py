@@ -16,7 +16,7 @@ class RateSettings:
     sh0: float = 2.5e-3
     sh_rest: float = 1.25e-4
     opacity: float = 5e-2
-    scales: float = 5e-3
+    scales: float = 5e-2
     quats: float = 1e-3
     pose: float = 5e-5
     skinning: float = 5e-5
