@@ -31,6 +31,7 @@ LAYERS = [
         "init_run",
         "prior_run",
         "report",
+        "compare",
         "bench",
     },
     {"app"},
@@ -57,7 +58,15 @@ AT_TOP_LEVEL_ONLY_IN = {
 # libraries that only a few parts may touch at all
 ANYWHERE_ONLY_IN = {
     "hydra": {"cli", "app.py", "config.py", "compose.py"},
-    "omegaconf": {"cli", "app.py", "config.py", "compose.py", "runs.py", "runfolder.py"},
+    "omegaconf": {
+        "cli",
+        "app.py",
+        "config.py",
+        "compose.py",
+        "runs.py",
+        "runfolder.py",
+        "compare/reading.py",
+    },
     "lightning": {"data/module.py", "stages", "app.py", "init_run.py", "prior_run.py", "cli", "config.py"},
     "stlpips_pytorch": set(),
     "torchvision": set(),
