@@ -25,6 +25,7 @@ LAYERS = [
         "plan",
         "pictures",
         "runfolder",
+        "finished",
         "runs",
         "tables",
         "evaluation_run",

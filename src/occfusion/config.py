@@ -85,6 +85,7 @@ class EvaluationSettings:
     curve: bool = True
     curve_images: int = 4
     curve_first_second: float = 2.0
+    again: bool = False
 
 
 @dataclass

@@ -148,3 +148,15 @@ def test_embedded_default_and_the_same_scene_through_the_reader_agree(train: Tra
         *common, f"dataset.root={scene.parent}", f"body.path={scene / 'body.npz'}", folder="zju"
     )
     assert_same(parameters(first), parameters(second))
+
+
+def test_finished_run_is_taken_over_until_it_is_asked_for_again(train: Train) -> None:
+    folder, first = train("variant=A", "optim.steps=2")
+    stamp = (folder / "metrics.json").stat().st_mtime_ns
+    _, second = train("variant=A", "optim.steps=2")
+    assert second == first and (folder / "metrics.json").stat().st_mtime_ns == stamp
+    _, third = train("variant=A", "optim.steps=2", "evaluation.training_stride=8")
+    assert third["regions"]["visible"] != first["regions"]["visible"]
+    stamp = (folder / "metrics.json").stat().st_mtime_ns
+    train("variant=A", "optim.steps=2", "evaluation.training_stride=8", "evaluation.again=true")
+    assert (folder / "metrics.json").stat().st_mtime_ns != stamp
