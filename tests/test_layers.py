@@ -26,6 +26,7 @@ LAYERS = [
         "pictures",
         "runfolder",
         "finished",
+        "sharing",
         "runs",
         "tables",
         "evaluation_run",

@@ -106,6 +106,7 @@ class Settings:
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
     seed: int = 0
     output_dir: str = ""
+    shared_dir: str | None = None
 
 
 def load_settings(config: DictConfig) -> Settings:
@@ -133,7 +134,7 @@ def load_settings(config: DictConfig) -> Settings:
 def settings_hash(settings: Settings) -> str:
     """Returns a short hash of all that decides what training computes."""
     relevant = asdict(settings)
-    for key in ("stage", "evaluation", "output_dir", "prior_training"):
+    for key in ("stage", "evaluation", "output_dir", "shared_dir", "prior_training"):
         del relevant[key]
     if "init" not in settings.variant.stages:  # no prior is asked
         del relevant["init"], relevant["prior"]

@@ -28,7 +28,7 @@ th:first-child, td:first-child, th:nth-child(2), td:nth-child(2), .text td { tex
 .text td { white-space: normal }
 th { background: #f3f3f3 } .paper { background: #fdf3dc; border-left: 1px solid #e5cf95 }
 .fault { background: #fdecea; padding: .4em 1em } svg { max-width: 100%; height: auto }
-.grid td { padding: 1px; text-align: center; font-size: 12px } .grid img { display: block; max-height: 300px }
+.grid td { padding: 1px; text-align: center; font-size: 12px } .grid img { display: block; margin: auto; height: 280px }
 """
 CURVE_NOTE = (
     "On a fixed handful of held-out images; seconds of training since the start of the run, all stages; the clock "
