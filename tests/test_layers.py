@@ -30,6 +30,7 @@ LAYERS = [
         "runs",
         "tables",
         "evaluation_run",
+        "evaluation_tables",
         "init_run",
         "prior_run",
         "report",

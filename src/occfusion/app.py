@@ -16,7 +16,7 @@ from occfusion.compose import make_body, make_data
 from occfusion.config import PRIOR_STAGE, Settings, load_settings, stages_to_run
 from occfusion.data.handful import held_out_handful
 from occfusion.data.module import HumanDataModule
-from occfusion.evaluation_run import evaluate_run
+from occfusion.evaluation_run import evaluate_run, evaluation_metric
 from occfusion.files.atomic import write_json
 from occfusion.finished import finished_in, record_finished
 from occfusion.human import Avatar, load_avatar, save_avatar, write_gaussians_ply
@@ -219,6 +219,6 @@ def _trainer(settings: Settings, steps: int, callbacks: list[L.Callback]) -> L.T
 def _curve(run_: Run) -> ErrorCurve:
     evaluation = run_.settings.evaluation
     frames = held_out_handful(run_.data, evaluation.curve_images)
-    perceptual = run_.perceptual if evaluation.perceptual else None
+    perceptual = evaluation_metric(evaluation, run_.perceptual)
     path = run_.folder / "error_vs_time.csv"
     return ErrorCurve(path, frames, run_.render, evaluation.curve_first_second, perceptual)

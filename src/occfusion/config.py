@@ -24,6 +24,8 @@ PRIOR_STAGE = "prior"
 PRIORS = ("embedded", "sd15")
 IMPLEMENTED_STAGES = ("init", "optim")
 IMPLEMENTED_VARIANTS = ("gauhuman", "A", "B")
+PERCEPTUAL_INPUTS = ("centred", "unit")
+"""What the evaluation's perceptual metric is fed: -1..1, as it was trained, or 0..1, as GauHuman's family does."""
 VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
 
 
@@ -81,6 +83,7 @@ class EvaluationSettings:
     training_stride: int = 5
     perceptual: bool = True
     perceptual_every: int = 6
+    perceptual_inputs: str = "centred"
     pictures: bool = True
     curve: bool = True
     curve_images: int = 4
@@ -176,6 +179,7 @@ def _check_choices(settings: Settings) -> None:
             )
     _check_in("prior.name", str(settings.prior.get("name")), PRIORS)
     _check_in("init.source", settings.init.source, ("prior", "truth"))
+    _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
     _check_in("optim.sh_frame", settings.optim.sh_frame, ("canonical", "world"))
 
