@@ -1,4 +1,4 @@
-"""Draws what the simplification of the pose does for a challenging one (paper §4.1): `docs/pictures/simplified_pose.png`.
+"""Draws what the simplification of the pose does for a challenging one (paper §4.1).
 
     python scripts/draw_simplified_pose.py [OUTPUT.png]
 

@@ -14,6 +14,7 @@ VERBS = {
     "check": "inspect a data folder: what is there, what is wrong with it, what to do",
     "convert-body": "write a body of SMPL's family, as it was downloaded, into a safe file, once",
     "render": "render a trained run along a path of cameras",
+    "report": "finished runs side by side: curves, tables, pictures, as an HTML page and Markdown",
     "bench": "speed and error of the rasteriser and of the parts of a training step",
 }
 

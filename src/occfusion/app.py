@@ -16,8 +16,9 @@ from occfusion.compose import make_body, make_data
 from occfusion.config import PRIOR_STAGE, Settings, load_settings, stages_to_run
 from occfusion.data.handful import held_out_handful
 from occfusion.data.module import HumanDataModule
-from occfusion.evaluation_run import evaluate_run
+from occfusion.evaluation_run import evaluate_run, evaluation_metric
 from occfusion.files.atomic import write_json
+from occfusion.finished import finished_in, record_finished
 from occfusion.human import Avatar, load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.init_run import look_at_training_frames, run_init
@@ -56,7 +57,14 @@ class Run:
 
 
 def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
-    """Runs what a composed configuration asks for and returns the content of `metrics.json`.
+    """Runs what a composed configuration asks for and returns the content of `metrics.json`; see `run_in_folder`."""
+    return run_in_folder(config, folder_chosen_by_user=folder_chosen_by_user)[1]
+
+
+def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[Path, dict[str, Any]]:
+    """Runs what a composed configuration asks for; returns the run folder and the content of `metrics.json`.
+
+    What the same settings, data and evaluation gave before is taken as it is, unless `evaluation.again`.
 
     Raises:
         OccfusionError: anything that the user can mend, before training where it can be known before.
@@ -66,8 +74,13 @@ def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
     settings = load_settings(config)
     L.seed_everything(settings.seed, verbose=False)
     if settings.stage.name == PRIOR_STAGE:
-        return run_prior_training(settings, folder_chosen_by_user=folder_chosen_by_user)
+        done = run_prior_training(settings, folder_chosen_by_user=folder_chosen_by_user)
+        return Path(settings.output_dir), done
     run_ = _compose(settings, folder_chosen_by_user)
+    if (finished := finished_in(run_.folder, settings, run_.data_hash)) is not None:
+        record_finished(run_.folder, settings, run_.data_hash)  # where the files lie now
+        print_summary(run_.folder, finished.metrics)
+        return run_.folder, finished.metrics
     for stage in stages_to_run(settings):
         if stage == "init":
             _complete_masks(run_)
@@ -75,14 +88,15 @@ def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
             _run_stage(run_, stage)
     if stages_to_run(settings) == ["init"]:  # nothing is trained yet that could be evaluated
         print(f"run folder: {run_.folder}")
-        return {}
+        return run_.folder, {}
     metrics = evaluate_run(
         run_.folder, run_.data, run_.render, settings, run_.perceptual,
         gaussians=run_.avatar.gaussians.num_gaussians,
     )  # fmt: skip
     write_report(run_.folder)
+    record_finished(run_.folder, settings, run_.data_hash)
     print_summary(run_.folder, metrics)
-    return metrics
+    return run_.folder, metrics
 
 
 def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
@@ -205,6 +219,6 @@ def _trainer(settings: Settings, steps: int, callbacks: list[L.Callback]) -> L.T
 def _curve(run_: Run) -> ErrorCurve:
     evaluation = run_.settings.evaluation
     frames = held_out_handful(run_.data, evaluation.curve_images)
-    perceptual = run_.perceptual if evaluation.perceptual else None
+    perceptual = evaluation_metric(evaluation, run_.perceptual)
     path = run_.folder / "error_vs_time.csv"
     return ErrorCurve(path, frames, run_.render, evaluation.curve_first_second, perceptual)

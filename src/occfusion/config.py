@@ -24,6 +24,8 @@ PRIOR_STAGE = "prior"
 PRIORS = ("embedded", "sd15")
 IMPLEMENTED_STAGES = ("init", "optim")
 IMPLEMENTED_VARIANTS = ("gauhuman", "A", "B")
+PERCEPTUAL_INPUTS = ("centred", "unit")
+"""What the evaluation's perceptual metric is fed: -1..1, as it was trained, or 0..1, as GauHuman's family does."""
 VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
 
 
@@ -81,10 +83,12 @@ class EvaluationSettings:
     training_stride: int = 5
     perceptual: bool = True
     perceptual_every: int = 6
+    perceptual_inputs: str = "centred"
     pictures: bool = True
     curve: bool = True
     curve_images: int = 4
     curve_first_second: float = 2.0
+    again: bool = False
 
 
 @dataclass
@@ -105,6 +109,7 @@ class Settings:
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
     seed: int = 0
     output_dir: str = ""
+    shared_dir: str | None = None
 
 
 def load_settings(config: DictConfig) -> Settings:
@@ -132,7 +137,7 @@ def load_settings(config: DictConfig) -> Settings:
 def settings_hash(settings: Settings) -> str:
     """Returns a short hash of all that decides what training computes."""
     relevant = asdict(settings)
-    for key in ("stage", "evaluation", "output_dir", "prior_training"):
+    for key in ("stage", "evaluation", "output_dir", "shared_dir", "prior_training"):
         del relevant[key]
     if "init" not in settings.variant.stages:  # no prior is asked
         del relevant["init"], relevant["prior"]
@@ -174,6 +179,7 @@ def _check_choices(settings: Settings) -> None:
             )
     _check_in("prior.name", str(settings.prior.get("name")), PRIORS)
     _check_in("init.source", settings.init.source, ("prior", "truth"))
+    _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
     _check_in("optim.sh_frame", settings.optim.sh_frame, ("canonical", "world"))
 

@@ -166,7 +166,7 @@ def _figures(
         "pixels": truth.shape[0] * truth.shape[1] if pixels is None else int(pixels.sum()),
         "psnr": psnr(rgb, truth, pixels),
         "ssim": ssim_over_black(rgb, truth) if pixels is None else ssim(rgb, truth, pixels),
-        "lpips": None if perceptual is None else float(perceptual(rgb, truth)),
+        "lpips": None if perceptual is None else float(perceptual.over_black(rgb, truth)),
         "mask_iou": overlap,
     }
 

@@ -8,10 +8,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from occfusion.config import STAGES, Settings
+from occfusion.config import STAGES, EvaluationSettings, Settings
 from occfusion.data.handful import held_out_handful, training_handful
 from occfusion.data.module import HumanDataModule
 from occfusion.evaluate import ImageRow, evaluate_frames, summarise, write_per_image_csv
+from occfusion.evaluation_tables import write_grouped_csv
 from occfusion.files.atomic import write_json
 from occfusion.memory import peak_memory_mb
 from occfusion.perceptual import PerceptualMetric
@@ -32,9 +33,12 @@ def evaluate_run(
     perceptual: PerceptualMetric | None,
     gaussians: int,
 ) -> dict[str, Any]:
-    """Writes `per_image.csv`, `metrics.json` and the pictures; returns the content of `metrics.json`."""
+    """Writes the tables, `metrics.json` and the pictures; returns the content of `metrics.json`.
+
+    The tables are `per_image.csv`, `per_camera.csv` and `per_frame.csv`.
+    """
     evaluation = settings.evaluation
-    perceptual = perceptual if evaluation.perceptual else None
+    perceptual = evaluation_metric(evaluation, perceptual)
     limit = FAST_DEV_IMAGES if settings.trainer.fast_dev_run else None
     rows: list[ImageRow] = []
     images = 0
@@ -46,6 +50,8 @@ def evaluate_run(
         views = islice(_training_views(data, evaluation.training_stride), limit)
         rows += evaluate_frames(render, views, TRAINING_REGIONS, perceptual)
     write_per_image_csv(folder / "per_image.csv", rows)
+    write_grouped_csv(folder / "per_camera.csv", rows, "camera")
+    write_grouped_csv(folder / "per_frame.csv", rows, "frame")
     metrics = {
         "dataset": settings.dataset["name"],
         "scene": data.scene_name,
@@ -64,6 +70,15 @@ def evaluate_run(
         write_comparison(folder / "pictures" / "held_out.png", held_out_handful(data, PICTURE_FRAMES), render)
         write_comparison(folder / "pictures" / "training.png", training_handful(data, PICTURE_FRAMES), render)
     return metrics
+
+
+def evaluation_metric(
+    evaluation: EvaluationSettings, perceptual: PerceptualMetric | None
+) -> PerceptualMetric | None:
+    """Returns the perceptual metric that the evaluation asks for, None for none."""
+    if perceptual is None or not evaluation.perceptual:
+        return None
+    return perceptual.with_unit_inputs() if evaluation.perceptual_inputs == "unit" else perceptual
 
 
 def _training_views(data: HumanDataModule, stride: int) -> Iterator[Frame]:

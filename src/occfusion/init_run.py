@@ -20,6 +20,7 @@ from occfusion.priors.masks import MaskPrior
 from occfusion.priors.moments import Moment, look
 from occfusion.priors.registry import make_mask_prior
 from occfusion.priors.truth import TruthMasks
+from occfusion.sharing import discard, offer, shared_folder, take
 from occfusion.stages.init import InitStage, mask_path
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.progress import FrameProgress
@@ -42,6 +43,9 @@ def run_init(
 ) -> None:
     """Writes the complete masks of a run into `masks/` and has the training frames carry them.
 
+    Masks that another run on the same data with the same prior and settings made are taken from it; the time
+    that they took there counts as this run's.
+
     Raises:
         Interrupted: a signal stopped it; what is written stays.
     """
@@ -56,11 +60,14 @@ def run_init(
     wanted = stage.wanted
     if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
         wanted = [k for k in wanted if k == data.position_at(0)]
+    record = folder / "init" / "stage.json"
+    shared = shared_folder(folder, settings.shared_dir, "init", stage.identity)
+    if wanted and not settings.trainer.fast_dev_run and _taken(stage, shared, record):
+        wanted = []
     if wanted and settings.init.calibrate and settings.init.source == "prior":
         stage.calibration = calibrate(prior, moments, read, body)
     if wanted:
         _predict(stage, read, wanted, settings)
-    record = folder / "init" / "stage.json"
     if settings.trainer.fast_dev_run or (not wanted and record.is_file()):
         data.use_complete_masks(lambda frame: mask_path(masks, frame))
         return
@@ -78,11 +85,27 @@ def run_init(
             "consistency": consistency,
         },
     )
+    offer(shared, masks, record)
     print(
         f"init: {completed} of {len(moments)} masks completed in {seconds:.1f} s"
         + ("" if consistency is None else f", consistency {consistency:.3f} (warped IoU)")
     )
     data.use_complete_masks(lambda frame: mask_path(masks, frame))
+
+
+def _taken(stage: InitStage, shared: Path, record: Path) -> bool:
+    """Takes over shared masks, if there are any for all frames; returns whether it did."""
+    made = take(shared, stage.folder)
+    stage.read_again()
+    if made is None or stage.wanted:
+        discard(shared)  # incomplete, if it is there at all: what is computed now takes its place
+        return False
+    record.parent.mkdir(parents=True, exist_ok=True)
+    write_json(record, {**made, "shared": str(shared)})
+    print(
+        f"init: {made.get('completed')} of {len(stage.moments)} masks completed before, taken from {shared}"
+    )
+    return True
 
 
 def _make_prior(settings: Settings, data: HumanDataModule, device: torch.device) -> MaskPrior:

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from occfusion.files.atomic import write_png
+from occfusion.files.atomic import write_json, write_png
 from occfusion.types import Frame, Rendering
 
 ERROR_GAIN = 4.0
@@ -41,18 +41,28 @@ def captioned(image: Image, text: str) -> Image:
 def write_comparison(path: Path, frames: Sequence[Frame], render: Callable[[Frame], Rendering]) -> None:
     """Writes one row a frame: observation, rendering, truth and error (the last two where truth is known).
 
-    Columns are cut to the person's height so that a row fits a screen.
+    A `.json` beside the picture says where in it each part lies, `{"views": [{"name", "frame", "camera",
+    "parts": {"input": [x, y, width, height], "rendering", "truth", "error"}}]}`, for whoever puts parts of
+    several runs side by side.
     """
-    rows = []
+    rows, views, top = [], [], 0
     with torch.inference_mode():
         for frame in frames:
             ours = render(frame).rgb
-            columns = [(f"input {frame.name}", frame.rgb), ("rendering", ours)]
+            columns = [("input", f"input {frame.name}", frame.rgb), ("rendering", "rendering", ours)]
             if frame.truth is not None:
-                columns += [
-                    ("truth", frame.truth.rgb),
-                    (f"error x{ERROR_GAIN:g}", error_map(ours, frame.truth.rgb)),
-                ]
-            rows.append(np.concatenate([captioned(to_uint8(c), t) for t, c in columns], axis=1))
+                truth, difference = frame.truth.rgb, error_map(ours, frame.truth.rgb)
+                columns += [("truth", "truth", truth), ("error", f"error x{ERROR_GAIN:g}", difference)]
+            rows.append(np.concatenate([captioned(to_uint8(c), t) for _, t, c in columns], axis=1))
+            height, width = frame.rgb.shape[:2]
+            parts = {
+                name: [k * width, top + CAPTION_HEIGHT, width, height]
+                for k, (name, _, _) in enumerate(columns)
+            }
+            views.append(
+                {"name": frame.name, "frame": frame.index, "camera": frame.camera_index, "parts": parts}
+            )
+            top += rows[-1].shape[0]
     if rows:
         write_png(path, np.concatenate(rows))
+        write_json(path.with_suffix(".json"), {"views": views})

@@ -18,7 +18,8 @@ from occfusion.types import Box, Frame
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 CONTRACT_FILES = (
     "config.yaml", "environment.json", "plan.json", "optim/last.ckpt", "optim/avatar.safetensors",
-    "point_cloud.ply", "error_vs_time.csv", "error_vs_time.png", "per_image.csv", "metrics.json", "report.md",
+    "point_cloud.ply", "error_vs_time.csv", "error_vs_time.png", "per_image.csv", "per_camera.csv", "per_frame.csv",
+    "metrics.json", "report.md",
 )  # fmt: skip
 
 
@@ -206,3 +207,15 @@ def test_complete_masks_are_what_the_optimisation_is_given(
         assert (frame.complete_mask.numpy() == written).all()
         added += int((frame.complete_mask & ~frame.visible_mask).sum())
     assert added > 0
+
+
+def test_finished_run_is_taken_over_until_it_is_asked_for_again(train: Train) -> None:
+    folder, first = train("variant=A", "optim.steps=2")
+    stamp = (folder / "metrics.json").stat().st_mtime_ns
+    _, second = train("variant=A", "optim.steps=2")
+    assert second == first and (folder / "metrics.json").stat().st_mtime_ns == stamp
+    _, third = train("variant=A", "optim.steps=2", "evaluation.training_stride=8")
+    assert third["regions"]["visible"] != first["regions"]["visible"]
+    stamp = (folder / "metrics.json").stat().st_mtime_ns
+    train("variant=A", "optim.steps=2", "evaluation.training_stride=8", "evaluation.again=true")
+    assert (folder / "metrics.json").stat().st_mtime_ns != stamp

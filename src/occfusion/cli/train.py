@@ -3,62 +3,98 @@
 from __future__ import annotations
 
 import sys
+import traceback
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from occfusion.cli.multirun import OUTCOME, JobRecord, record_job
 from occfusion.errors import OccfusionError
 
 
 @dataclass
-class _Jobs:
-    """What came of the jobs of this call: one, or with `-m` many."""
+class _State:
+    """What came of the jobs of this process.
 
-    results: list[dict[str, Any]] = field(default_factory=list)
-    failures: list[str] = field(default_factory=list)
+    Attributes:
+        exit_code: of the last job.
+        stopped: why no further job is to be started.
+    """
+
     exit_code: int = 0
+    stopped: str | None = None
 
 
 def main(config_dir: Path) -> int:
     """Runs the Hydra application over `config_dir`; returns the process's exit code."""
-    jobs = _Jobs()
+    state = _State()
+    OUTCOME.exit_code = 0
 
     # Hydra would print a traceback and exit by itself; a user's mistake deserves one plain line
     @hydra.main(version_base="1.3", config_path=str(config_dir), config_name="config")
     def application(config: DictConfig) -> None:
-        _run_job(config, jobs)
+        settings = HydraConfig.get()
+        overrides = list(settings.overrides.task)
+        if settings.mode == RunMode.MULTIRUN:
+            job = _job_of_many(config, overrides, settings.job.num, state)
+            record_job(Path(settings.sweep.dir), job)
+        else:
+            state.exit_code = _job(config, overrides, 0).exit_code
 
     application()
-    if len(jobs.results) + len(jobs.failures) > 1:
-        _print_table(jobs)
-    return jobs.exit_code
+    return OUTCOME.exit_code or state.exit_code
 
 
-def _run_job(config: DictConfig, jobs: _Jobs) -> None:
-    from hydra.core.hydra_config import HydraConfig
+def _job_of_many(config: DictConfig, overrides: list[str], number: int, state: _State) -> JobRecord:
+    """Runs a job of a multirun; whatever happens to it, the others are not lost."""
+    called = " ".join(overrides)
+    if state.stopped is not None:
+        return JobRecord(number, called, error=f"not started: {state.stopped}", exit_code=1)
+    try:
+        job = _job(config, overrides, number)
+    except Exception as error:  # a fault of the program in one job: shown in full, the others go on
+        traceback.print_exc()
+        return JobRecord(number, called, error=f"{type(error).__name__}: {error}", exit_code=1)
+    if job.exit_code > 128:  # a signal meant for the whole command
+        state.stopped = "the jobs were stopped by a signal; the same command continues"
+    return job
 
-    # heavy imports only after composing has gone well
-    from occfusion import app
 
+def _job(config: DictConfig, overrides: list[str], number: int) -> JobRecord:
     # Lightning's advice on worker counts and missing loggers does not apply to these loaders
     warnings.filterwarnings("ignore", module="lightning.*")
-    overrides = HydraConfig.get().overrides.task
     chosen = any(override.lstrip("+").startswith("output_dir=") for override in overrides)
+    called = " ".join(overrides)
     try:
-        jobs.results.append(app.run(config, folder_chosen_by_user=chosen))
+        folder = _finished_before(config, chosen) or _run(config, chosen)
     except OccfusionError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        jobs.failures.append(f"{' '.join(overrides)}: {error}")
-        jobs.exit_code = getattr(error, "exit_code", 1)
+        return JobRecord(number, called, error=str(error), exit_code=getattr(error, "exit_code", 1))
+    return JobRecord(number, called, folder=None if folder is None else str(folder))
 
 
-def _print_table(jobs: _Jobs) -> None:
-    from occfusion.tables import print_comparison
+def _finished_before(config: DictConfig, chosen: bool) -> Path | None:
+    """Returns the folder of the same run where it is finished; prints its figures."""
+    from occfusion.config import load_settings
+    from occfusion.finished import find_finished
+    from occfusion.tables import print_summary
 
-    print_comparison(jobs.results)
-    for failure in jobs.failures:
-        print(f"failed: {failure}")
+    finished = find_finished(load_settings(config), chosen_by_user=chosen)
+    if finished is None:
+        return None
+    print(f"finished before, taken from {finished.folder}")
+    print_summary(finished.folder, finished.metrics)
+    return finished.folder
+
+
+def _run(config: DictConfig, chosen: bool) -> Path | None:
+    # heavy imports only after composing has gone well and where there is something to do
+    from occfusion import app
+
+    folder, metrics = app.run_in_folder(config, folder_chosen_by_user=chosen)
+    return folder if "regions" in metrics else None

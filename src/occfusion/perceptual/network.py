@@ -78,22 +78,32 @@ class VggFeatures(nn.Module):
         Args:
             x: a picture in -1..1, `[1, 3, H, W]`, neither side under `minimum_size`.
         """
-        x = ((x - self.mean) / self.spread).contiguous(memory_format=torch.channels_last)
+        x = self.whiten(x)
         features = []
         for number, block in enumerate(BLOCKS, 1):
             if number > 1:
-                x = self._pool(x)
+                x = self.pool(x)
             for part, _ in enumerate(block, 1):
-                x = self._convolve(x, f"conv{number}_{part}")
+                x = self.convolve(x, f"conv{number}_{part}")
             features.append(x)
         return features
 
-    def _convolve(self, x: Tensor, name: str) -> Tensor:
-        return F.relu_(F.conv2d(x, getattr(self, f"{name}_weight"), getattr(self, f"{name}_bias"), padding=1))
+    def whiten(self, x: Tensor) -> Tensor:
+        """Returns pictures `[B, 3, H, W]` in -1..1 as the first convolution takes them."""
+        return ((x - self.mean) / self.spread).contiguous(memory_format=torch.channels_last)
 
-    def _pool(self, x: Tensor) -> Tensor:
+    def convolve(self, x: Tensor, name: str, padding: int = 1) -> Tensor:
+        """Returns the rectified result of one of the 13 convolutions."""
+        weight, bias = getattr(self, f"{name}_weight"), getattr(self, f"{name}_bias")
+        return F.relu_(F.conv2d(x, weight, bias, padding=padding))
+
+    def pool(self, x: Tensor) -> Tensor:
+        """Returns a map between two blocks at half the size."""
         if not self.antialiased:
             return F.max_pool2d(x, 2)
+        return self.blur(F.pad(F.max_pool2d(x, 2, stride=1), (_BLUR_PADDING,) * 4, mode="reflect"))
+
+    def blur(self, x: Tensor) -> Tensor:
+        """Returns every second value of a map after a 3x3 binomial filter, without padding."""
         channels = x.shape[1]
-        x = F.pad(F.max_pool2d(x, 2, stride=1), (_BLUR_PADDING,) * 4, mode="reflect")
         return F.conv2d(x, self.binomial.expand(channels, 1, 3, 3), stride=2, groups=channels)

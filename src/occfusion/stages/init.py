@@ -74,6 +74,10 @@ class InitStage(Stage):
         """Positions of the frames that are not written yet."""
         return [k for k, moment in enumerate(self.moments) if _name(moment.frame) not in self.records]
 
+    def read_again(self) -> None:
+        """Takes up what has been put into the folder since: masks with the manifest of this very identity."""
+        self.records = self._earlier()
+
     def _earlier(self) -> dict[str, dict[str, Any]]:
         """Returns the records of an earlier call that still hold."""
         path = self.folder / MANIFEST

@@ -1,0 +1,1 @@
+"""Finished run folders beside each other: reading, statistics, tables, curves, pictures, pages."""

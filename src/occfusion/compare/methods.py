@@ -1,0 +1,54 @@
+"""Names for the methods that runs stand for: the variant, and the settings in which runs of a variant differ."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from occfusion.compare.reading import RunRecord
+
+NOT_A_DIFFERENCE = (
+    "seed", "output_dir", "shared_dir", "dataset.scene", "dataset.root", "body.path", "stage.", "variant.",
+    "evaluation.", "trainer.enable_progress_bar", "trainer.checkpoint_every",
+)  # fmt: skip
+"""Settings (or, with a dot at the end, groups) that do not make two runs of a variant different methods."""
+SPELT_OUT = 2
+"""Up to so many differing settings stand in a method's name; with more, methods of a variant are numbered."""
+
+
+def methods(runs: Sequence[RunRecord]) -> list[str]:
+    """Returns a name for each run's method, the same for runs that differ in seed or scene alone."""
+    return [name for name, _ in _named(runs)]
+
+
+def method_settings(runs: Sequence[RunRecord]) -> dict[str, str]:
+    """Returns the settings that numbered methods stand for, by name; empty when no method is numbered."""
+    return {name: settings for name, settings in _named(runs) if "#" in name}
+
+
+def _named(runs: Sequence[RunRecord]) -> list[tuple[str, str]]:
+    flat = [dict(_flat(run.config)) for run in runs]
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k, run in enumerate(runs):
+        groups.setdefault((run.dataset, run.variant), []).append(k)
+    result = [(run.variant, "") for run in runs]
+    for (_, variant), members in groups.items():
+        keys = sorted({key for k in members for key in flat[k]})
+        differing = [key for key in keys if len({str(flat[k].get(key)) for k in members}) > 1]
+        texts = {k: " ".join(f"{key}={flat[k].get(key)}" for key in differing) for k in members}
+        numbers = {text: n for n, text in enumerate(dict.fromkeys(texts.values()), 1)}
+        for k, text in texts.items():
+            numbered = f"{variant} #{numbers[text]}"
+            result[k] = (numbered if len(differing) > SPELT_OUT else f"{variant} {text}".strip(), text)
+    return result
+
+
+def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
+    for key, value in config.items():
+        name = f"{prefix}{key}"
+        if any(name == part or (part.endswith(".") and name.startswith(part)) for part in NOT_A_DIFFERENCE):
+            continue
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{name}.")
+        else:
+            yield name, value

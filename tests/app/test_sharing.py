@@ -1,0 +1,92 @@
+"""Stages that variants share are computed once."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from occfusion import init_run
+from occfusion.sharing import offer, shared_folder, take
+
+Train = Callable[..., tuple[Path, dict[str, Any]]]
+MASKS_ALONE = ("stage=init", "init.source=truth")
+
+
+@pytest.fixture
+def predictions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The numbers of frames that were really completed, one entry a run that completed any."""
+    made: list[int] = []
+    original = init_run._predict
+
+    def count(stage: Any, read: Any, wanted: Any, settings: Any) -> None:
+        made.append(len(wanted))
+        original(stage, read, wanted, settings)
+
+    monkeypatch.setattr(init_run, "_predict", count)
+    return made
+
+
+def masks(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in sorted((folder / "masks").rglob("*.png"))}
+
+
+def test_masks_are_completed_once(train: Train, predictions: list[int]) -> None:
+    first, _ = train("variant=B", *MASKS_ALONE, folder="first")
+    second, _ = train("variant=B", "optim.steps=7", "seed=3", *MASKS_ALONE, folder="second")
+    assert predictions == [10]
+    assert masks(first) == masks(second) and len(masks(first)) >= 10
+    manifests = [json.loads((f / "masks/manifest.json").read_text()) for f in (first, second)]
+    assert manifests[0] == manifests[1]
+    records = [json.loads((f / "init/stage.json").read_text()) for f in (first, second)]
+    assert records[1].pop("shared") and records[0] == records[1]
+    train("variant=B", *MASKS_ALONE, "init.threshold=0.4", folder="third")
+    assert predictions == [10, 10]
+
+
+def test_what_one_run_does_to_its_masks_is_its_own(train: Train, predictions: list[int]) -> None:
+    first, _ = train("variant=B", *MASKS_ALONE, folder="first")
+    before = masks(first)
+    second, _ = train("variant=B", *MASKS_ALONE, folder="second")
+    (second / "masks" / "000001.png").unlink()
+    train("variant=B", *MASKS_ALONE, folder="second")
+    assert masks(first) == before == masks(second)
+    assert predictions == [10]
+
+
+def test_damaged_shared_masks_are_made_again(train: Train, predictions: list[int]) -> None:
+    first, _ = train("variant=B", *MASKS_ALONE, folder="first")
+    (shared,) = (first.parent / ".shared" / "init").iterdir()
+    (shared / "results" / "000002.png").unlink()
+    second, _ = train("variant=B", *MASKS_ALONE, folder="second")
+    assert predictions == [10, 10] and masks(first) == masks(second)
+    assert (shared / "results" / "000002.png").is_file()
+    (shared / "stage.json").unlink()
+    train("variant=B", *MASKS_ALONE, folder="third")
+    train("variant=B", *MASKS_ALONE, folder="fourth")
+    assert predictions == [10, 10, 10]
+
+
+def test_the_shared_folder_can_be_chosen(tmp_path: Path) -> None:
+    a = shared_folder(tmp_path / "run", None, "init", {"data": "x", "k": 1})
+    assert a.parent == tmp_path / ".shared" / "init"
+    assert a.name == shared_folder(tmp_path / "run", str(tmp_path), "init", {"k": 1, "data": "x"}).name
+    assert a.name != shared_folder(tmp_path / "run", None, "init", {"data": "y", "k": 1}).name
+
+
+def test_without_links_files_are_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise OSError
+
+    monkeypatch.setattr(os, "link", refuse)
+    (tmp_path / "masks" / "deep").mkdir(parents=True)
+    (tmp_path / "masks" / "deep" / "a.png").write_bytes(b"1")
+    (tmp_path / "stage.json").write_text('{"train_seconds": 1}')
+    offer(tmp_path / "shared" / "k", tmp_path / "masks", tmp_path / "stage.json")
+    offer(tmp_path / "shared" / "k", tmp_path / "masks", tmp_path / "stage.json")
+    assert [path.name for path in (tmp_path / "shared").iterdir()] == ["k"]
+    assert take(tmp_path / "shared" / "k", tmp_path / "other") == {"train_seconds": 1}
+    assert (tmp_path / "other" / "deep" / "a.png").read_bytes() == b"1"
+    assert take(tmp_path / "shared" / "none", tmp_path / "other") is None

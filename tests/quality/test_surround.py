@@ -1,0 +1,111 @@
+"""Mostly black pictures: the perceptual metric computed where they are not black is that of the whole."""
+
+import time
+
+import pytest
+import torch
+from torch import Tensor
+
+from occfusion.perceptual import PerceptualMetric, load_perceptual
+from occfusion.perceptual.network import layer_shapes
+from occfusion.perceptual.surround import small
+from occfusion.perceptual.weights import MetricWeights
+
+Box = tuple[int, int, int, int]
+RELATIVE = 1e-5
+
+
+def made_up(*, antialiased: bool, centred: bool = True) -> PerceptualMetric:
+    """Random positive biases: black itself and the borders leave strong traces in all layers."""
+    generator = torch.Generator().manual_seed(5)
+    convolutions = {
+        name: (
+            torch.randn(shape, generator=generator) * (2 / (9 * shape[1])) ** 0.5,
+            torch.rand(shape[0], generator=generator),
+        )
+        for name, shape in layer_shapes().items()
+    }
+    heads = [torch.rand(c, generator=generator) for c in (64, 128, 256, 512, 512)]
+    return PerceptualMetric("x", MetricWeights(convolutions, heads), antialiased=antialiased, centred=centred)
+
+
+def pair(height: int, width: int, box: Box) -> tuple[Tensor, Tensor]:
+    x, y, w, h = box
+    pictures = torch.zeros(2, height, width, 3)
+    pictures[:, y : y + h, x : x + w] = torch.rand(2, h, w, 3, generator=torch.Generator().manual_seed(1))
+    return pictures[0], pictures[1]
+
+
+CASES = [
+    (96, 120, (40, 30, 20, 30)),
+    (97, 121, (41, 31, 19, 29)),  # odd sides and starts
+    (98, 119, (0, 0, 17, 23)),  # in a corner
+    (99, 123, (100, 80, 23, 19)),  # in the other
+    (101, 97, (30, 0, 5, 101)),  # from border to border
+    (110, 109, (108, 3, 1, 1)),  # one pixel in the last column, which plain pooling drops
+    (110, 109, (3, 109, 1, 1)),
+    (128, 64, (4, 4, 3, 3)),
+    (112, 96, (2, 105, 4, 4)),
+]
+
+
+@pytest.mark.parametrize("antialiased", [True, False])
+@pytest.mark.parametrize(("height", "width", "box"), CASES)
+def test_result_is_that_of_the_whole_picture(antialiased: bool, height: int, width: int, box: Box) -> None:
+    metric = made_up(antialiased=antialiased)
+    a, b = pair(height, width, box)
+    whole = float(metric(a, b))
+    assert whole > 0
+    assert float(metric.over_black(a, b)) == pytest.approx(whole, rel=RELATIVE)
+
+
+@pytest.mark.parametrize("antialiased", [True, False])
+@pytest.mark.parametrize(
+    ("height", "width", "box"), [(401, 347, (150, 170, 40, 90)), (352, 366, (340, 300, 26, 40))]
+)
+def test_pictures_larger_than_the_small_black_one(
+    antialiased: bool, height: int, width: int, box: Box
+) -> None:
+    assert small(height) < height and small(width) < width
+    metric = made_up(antialiased=antialiased, centred=False)
+    a, b = pair(height, width, box)
+    assert float(metric.over_black(a, b)) == pytest.approx(float(metric(a, b)), rel=RELATIVE)
+
+
+def test_published_weights_both_calls_and_other_sizes_in_turn() -> None:
+    metric = load_perceptual("stlpips")
+    for metric_ in (metric, metric.with_unit_inputs(), metric):
+        for height, width, box in CASES[:2]:
+            a, b = pair(height, width, box)
+            assert float(metric_.over_black(a, b)) == pytest.approx(float(metric_(a, b)), rel=RELATIVE)
+
+
+def test_only_what_is_lit_is_computed_where_that_pays() -> None:
+    metric = made_up(antialiased=True)
+    black = torch.zeros(80, 80, 3)
+    assert float(metric.over_black(black, black)) == 0.0
+    lit, other = torch.rand(2, 80, 80, 3)
+    assert float(metric.over_black(lit, other)) == float(metric(lit, other))
+    not_a_number = black.clone()
+    not_a_number[3, 3] = float("nan")
+    assert torch.isnan(metric.over_black(not_a_number, black))
+    with pytest.raises(ValueError, match="differ in shape"):
+        metric.over_black(black, black[:70])
+
+
+def test_time_follows_the_lit_part() -> None:
+    metric = load_perceptual("stlpips")
+    a, b = pair(384, 384, (160, 120, 60, 140))
+    metric.over_black(a, b)  # the black picture
+
+    def seconds(call: object) -> float:
+        best = 1e9
+        for _ in range(2):
+            started = time.perf_counter()
+            call(a, b)  # type: ignore[operator]
+            best = min(best, time.perf_counter() - started)
+        return best
+
+    sparse, whole = seconds(metric.over_black), seconds(metric)
+    print(f"{sparse:.2f} s against {whole:.2f} s")
+    assert sparse < 0.7 * whole
