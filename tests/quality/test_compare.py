@@ -7,7 +7,6 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from run_folders import write_run
 
 from occfusion.__main__ import main
 from occfusion.compare.figures import seconds_to_reach, summarise_scenes, summarise_seeds
@@ -15,6 +14,7 @@ from occfusion.compare.grid import picture_grid
 from occfusion.compare.methods import method_settings, methods
 from occfusion.compare.reading import CurvePoint, find_runs, read_run, read_runs
 from occfusion.compare.tables import latex_table, summary_grid
+from run_folders import write_run
 
 
 def points(*pairs: tuple[float, float | None]) -> list[CurvePoint]:
