@@ -10,7 +10,9 @@ import torch
 
 from occfusion.errors import ConfigError
 from occfusion.priors.embedded import EmbeddedMaskPrior, EmbeddedSettings
+from occfusion.priors.embedded_score import EmbeddedScore
 from occfusion.priors.masks import MaskPrior
+from occfusion.priors.score import ScorePrior
 
 S = TypeVar("S")
 
@@ -31,6 +33,19 @@ def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPr
 
         return Sd15MaskPrior(_typed(Sd15Settings, options), device)
     raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")
+
+
+def make_score_prior(settings: Mapping[str, Any], device: torch.device) -> ScorePrior[Any]:
+    """Returns the prior whose score is distilled, of the same mapping as `make_mask_prior`; loads its weights.
+
+    Raises:
+        ConfigError: an unknown prior, key or type.
+        DataError: weights are missing or damaged.
+    """
+    name = settings.get("name")
+    if name == "embedded":
+        return EmbeddedScore(settings.get("weights"), device)
+    raise ConfigError(f"prior.name={name!r}: score distillation needs embedded")
 
 
 def _typed(kind: type[S], options: Mapping[str, Any]) -> S:
