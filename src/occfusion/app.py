@@ -24,7 +24,7 @@ from occfusion.init_run import look_at_training_frames, run_init
 from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.prior_run import run_prior_training
 from occfusion.priors.moments import Moment
-from occfusion.priors.registry import make_score_prior
+from occfusion.priors.registry import check_score_prior, make_score_prior
 from occfusion.render import render_frame
 from occfusion.report import write_report
 from occfusion.runfolder import claim_run_folder
@@ -93,6 +93,8 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
     data.validate()
     summary = data.summary()
     backend = resolve_backend(settings.rasterizer.name, _device(settings), torch.float32)
+    if settings.optim.sds.is_used and "optim" in stages_to_run(settings):
+        check_score_prior(settings.prior)
     folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
     moments = look_at_training_frames(data, body) if is_prior_asked else None
