@@ -20,7 +20,7 @@ from occfusion.priors.distillation import time_at
 from occfusion.priors.moments import Moment
 from occfusion.priors.score import Draw, ScorePrior, distil
 from occfusion.priors.views import CANONICAL_ANGLES, PersonView, view_canonical, view_observation
-from occfusion.splat import rasterize
+from occfusion.render import canonical_alpha
 from occfusion.stages.settings import SdsSettings
 from occfusion.types import Box, Camera, Frame
 
@@ -111,7 +111,7 @@ class Distiller(Generic[T]):
             square = view.square
             seen = take_square(alpha, box, square.x, square.y, square.side, self.prior.size)
         else:
-            seen = self._canonical_alpha(avatar, view.camera)
+            seen = canonical_alpha(avatar, view.camera, self.backend)
         where = (
             f"frame {frame.name}"
             if is_posed
@@ -143,14 +143,6 @@ class Distiller(Generic[T]):
             self.prior, occupancy.to(self.prior.device), view.mask, view.told, draw,
             weighting=settings.weighting, guidance=settings.guidance, reduction=settings.reduction,
         )  # fmt: skip
-
-    def _canonical_alpha(self, avatar: Avatar, camera: Camera) -> Tensor:
-        """Returns the occupancy of the canonical pose, rendered at the size that the prior sees."""
-        cloud = avatar.canonical(camera.centre)
-        return rasterize(
-            cloud.means, None, None, cloud.opacities, torch.zeros_like(cloud.means), camera.viewmat, camera.K,
-            camera.width, camera.height, covariances=cloud.covariances, backend=self.backend,
-        ).alpha  # fmt: skip
 
     # -- views, remembered ------------------------------------------------------------------------------------
 

@@ -82,7 +82,7 @@ class SdsSettings:
     posed_probability: float = 0.75
     weighting: str = "sigma2"
     schedule: str = "random"
-    t_min: float = 0.02
+    t_min: float = 0.9
     t_max: float = 0.98
     reduction: str = "mean"
     guidance: float = 1.0
