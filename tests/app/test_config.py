@@ -9,6 +9,7 @@ from hydra import compose, initialize_config_dir
 from occfusion.config import Settings, load_settings, settings_hash, stages_to_run
 from occfusion.data import OcclusionSettings
 from occfusion.errors import ConfigError
+from occfusion.stages.settings import SdsSettings
 
 CONF = Path(__file__).parents[2] / "conf"
 
@@ -118,6 +119,8 @@ def test_each_variant_has_its_terms_of_score_distillation() -> None:
 
 
 def test_presets_of_score_distillation() -> None:
+    measured = settings_of("variant=D").optim.sds
+    assert measured == SdsSettings(lambda_pose=measured.lambda_pose, lambda_can=measured.lambda_can)
     paper, code = (settings_of("variant=D", f"sds={name}").optim.sds for name in ("paper", "code"))
     assert (paper.lambda_pose, paper.lambda_can, paper.reduction, paper.where) == (
         2e5,

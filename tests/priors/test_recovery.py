@@ -16,6 +16,7 @@ from occfusion.priors.corpus import draw_poses
 from occfusion.priors.embedded_score import EmbeddedScore
 from occfusion.priors.hiding import half_plane
 from occfusion.priors.moments import look
+from occfusion.priors.views import CANONICAL_ANGLES, view_canonical
 from occfusion.splat import rasterize
 from occfusion.stages.distil import Distiller
 from occfusion.stages.settings import SdsSettings
@@ -68,6 +69,17 @@ def make_shots() -> list[Shot]:
     return shots
 
 
+def stand_out(points: Tensor, body: Body) -> Tensor:
+    """Returns which points lie beside the canonical body, not over it, from a third of the directions or more."""
+    beside = torch.zeros(len(points))
+    for turn in range(CANONICAL_ANGLES):
+        view = view_canonical(body, turn, 128)
+        pixels, _ = project(points.double().numpy(), view.camera.viewmat.numpy(), view.camera.K.numpy())
+        columns, rows = np.clip(pixels.astype(int), 0, 127).T
+        beside += torch.from_numpy(view.body().coverage[rows, columns] == 0.0)
+    return beside >= CANONICAL_ANGLES / 3
+
+
 def make_avatar(body: Body) -> tuple[Avatar, int]:
     """Returns faint Gaussians on the body and half opaque ones beside it, and how many the first are."""
     own = Gaussians.on_body(body, 0)
@@ -77,6 +89,7 @@ def make_avatar(body: Body) -> tuple[Avatar, int]:
     around *= 0.10 + 0.15 * torch.rand(PLANTED, 1, generator=generator)
     beside = start[torch.randint(len(start), (PLANTED,), generator=generator)] + around
     beside = beside[torch.cdist(beside, start).amin(dim=1) > 0.08]
+    beside = beside[stand_out(beside, body)]
     scales = torch.cat([own.scales.detach(), torch.full((len(beside), 3), 0.02)])
     gaussians = Gaussians(torch.cat([start, beside]), scales, 0)
     with torch.no_grad():

@@ -81,8 +81,8 @@ class SdsSettings:
     lambda_can: float = 0.0
     posed_probability: float = 0.75
     weighting: str = "sigma2"
-    schedule: str = "random"
-    t_min: float = 0.9
+    schedule: str = "annealed"
+    t_min: float = 0.7
     t_max: float = 0.98
     reduction: str = "mean"
     guidance: float = 1.0
