@@ -15,8 +15,8 @@ CHANNELS = (8, 16)
 WORDS = ["<|startoftext|>", "<|endoftext|>", "l", "o", "w", "l</w>", "o</w>", "w</w>", "lo", "low</w>"]
 
 
-def write_tiny_inpainting(folder: Path, seed: int = 0) -> None:
-    """Writes an inpainting pipeline without a safety checker."""
+def write_tiny_inpainting(folder: Path, seed: int = 0, channels_in: int = 9) -> None:
+    """Writes an inpainting pipeline without a safety checker; with 4 channels in, the plain model."""
     from diffusers import AutoencoderKL, DDIMScheduler, StableDiffusionInpaintPipeline, UNet2DConditionModel
     from transformers import CLIPTextConfig, CLIPTextModel, CLIPTokenizer
 
@@ -35,7 +35,7 @@ def write_tiny_inpainting(folder: Path, seed: int = 0) -> None:
         )
     )  # fmt: skip
     unet = UNet2DConditionModel(
-        block_out_channels=CHANNELS, layers_per_block=1, sample_size=16, in_channels=9, out_channels=4,
+        block_out_channels=CHANNELS, layers_per_block=1, sample_size=16, in_channels=channels_in, out_channels=4,
         down_block_types=("DownBlock2D", "CrossAttnDownBlock2D"), up_block_types=("CrossAttnUpBlock2D", "UpBlock2D"),
         cross_attention_dim=8, attention_head_dim=2, norm_num_groups=4,
     )  # fmt: skip

@@ -25,12 +25,14 @@ from occfusion.init_run import look_at_training_frames, run_init
 from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.prior_run import run_prior_training
 from occfusion.priors.moments import Moment
+from occfusion.priors.registry import check_score_prior, make_score_prior
 from occfusion.render import render_frame
 from occfusion.report import write_report
 from occfusion.runfolder import claim_run_folder
 from occfusion.splat import resolve_backend
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.curve import ErrorCurve
+from occfusion.stages.distil import Distiller
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.optim import OptimStage
 from occfusion.stages.progress import ProgressLine
@@ -105,8 +107,11 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
     data.validate()
     summary = data.summary()
     backend = resolve_backend(settings.rasterizer.name, _device(settings), torch.float32)
+    if settings.optim.sds.is_used and "optim" in stages_to_run(settings):
+        check_score_prior(settings.prior)
     folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
-    moments = look_at_training_frames(data, body) if "init" in settings.variant.stages else None
+    is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
+    moments = look_at_training_frames(data, body) if is_prior_asked else None
     decisions = planning.make_plan(settings, summary, backend, moments)
     write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
     perceptual = None
@@ -161,6 +166,7 @@ def _run_stage(run_: Run, name: str) -> None:
         settings.optim,
         perceptual=run_.perceptual if settings.optim.lambda_lpips else None,
         densifier=_make_densifier(settings),
+        distiller=_make_distiller(run_),
         backend=run_.backend,
         seed=settings.seed,
     )
@@ -187,6 +193,23 @@ def _make_densifier(settings: Settings) -> Densifier | None:
         return None
     # the threshold belongs to a loss whose colour term has weight 1
     return Densifier(optim.densification, loss_scale=optim.lambda_rgb or 1.0)
+
+
+def _make_distiller(run_: Run) -> Distiller[Any] | None:
+    """Returns score distillation, its prior loaded, where the plan has a term of it."""
+    settings = run_.settings
+    if not any(decision.used for decision in planning.sds_decisions(settings, run_.moments)):
+        return None
+    assert run_.moments is not None
+    return Distiller(
+        make_score_prior(settings.prior, _device(settings)),
+        settings.optim.sds,
+        steps=settings.optim.steps,
+        moments=run_.moments,
+        body=run_.avatar.body,
+        backend=run_.backend,
+        seed=settings.seed,
+    )
 
 
 def _hand_over(run_: Run, folder: Path, seconds: float, steps: int) -> None:

@@ -16,14 +16,15 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from occfusion.errors import ConfigError
-from occfusion.stages.settings import InitSettings, OptimSettings, PriorTrainingSettings
+from occfusion.priors.distillation import REDUCTIONS, SCHEDULES, WEIGHTINGS
+from occfusion.stages.settings import InitSettings, OptimSettings, PriorTrainingSettings, SdsSettings
 
 STAGES = ("init", "optim", "refine")
 PRIOR_STAGE = "prior"
 """The stage that trains a prior; it has no data set and no avatar."""
 PRIORS = ("embedded", "sd15")
 IMPLEMENTED_STAGES = ("init", "optim")
-IMPLEMENTED_VARIANTS = ("gauhuman", "A", "B")
+IMPLEMENTED_VARIANTS = ("gauhuman", "A", "B", "C", "D")
 PERCEPTUAL_INPUTS = ("centred", "unit")
 """What the evaluation's perceptual metric is fed: -1..1, as it was trained, or 0..1, as GauHuman's family does."""
 VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
@@ -139,8 +140,13 @@ def settings_hash(settings: Settings) -> str:
     relevant = asdict(settings)
     for key in ("stage", "evaluation", "output_dir", "shared_dir", "prior_training"):
         del relevant[key]
-    if "init" not in settings.variant.stages:  # no prior is asked
-        del relevant["init"], relevant["prior"]
+    is_distilled = settings.optim.sds.is_used
+    if "init" not in settings.variant.stages:
+        del relevant["init"]
+        if not is_distilled:  # no prior is asked
+            del relevant["prior"]
+    if not is_distilled:
+        del relevant["optim"]["sds"]
     for key in ("checkpoint_every", "enable_progress_bar"):
         del relevant["trainer"][key]
     del relevant["dataset"]["root"], relevant["variant"]["paper"]
@@ -182,6 +188,11 @@ def _check_choices(settings: Settings) -> None:
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
     _check_in("optim.sh_frame", settings.optim.sh_frame, ("canonical", "world"))
+    sds = settings.optim.sds
+    _check_in("optim.sds.weighting", sds.weighting, WEIGHTINGS)
+    _check_in("optim.sds.schedule", sds.schedule, SCHEDULES)
+    _check_in("optim.sds.reduction", sds.reduction, REDUCTIONS)
+    _check_in("optim.sds.where", sds.where, ("hidden", "everywhere"))
 
 
 def _check_in(key: str, value: str, allowed: tuple[str, ...]) -> None:
@@ -208,6 +219,7 @@ def _check_ranges(settings: Settings) -> None:
     _check_range("optim.sh_degree", optim.sh_degree, 0, 3)
     _check_range("optim.sh_every", optim.sh_every, 1, 10_000_000)
     _check_range("optim.skinning_every", optim.skinning_every, 1, 10_000)
+    _check_sds_ranges(optim.sds)
     _check_range("seed", settings.seed, 0, 2**32 - 1)
     _check_range("trainer.checkpoint_every", trainer.checkpoint_every, 1, 10_000_000)
     _check_range("trainer.devices", trainer.devices, 1, 1024)
@@ -217,6 +229,17 @@ def _check_ranges(settings: Settings) -> None:
     _check_range("evaluation.perceptual_every", evaluation.perceptual_every, 1, 10_000)
     _check_range("evaluation.curve_images", evaluation.curve_images, 1, 1000)
     _check_range("evaluation.curve_first_second", evaluation.curve_first_second, 0.01, 1e6)
+
+
+def _check_sds_ranges(sds: SdsSettings) -> None:
+    _check_range("optim.sds.lambda_pose", sds.lambda_pose, 0.0, math.inf)
+    _check_range("optim.sds.lambda_can", sds.lambda_can, 0.0, math.inf)
+    _check_range("optim.sds.posed_probability", sds.posed_probability, 0.0, 1.0)
+    _check_range("optim.sds.t_min", sds.t_min, 0.0, 1.0)
+    _check_range("optim.sds.t_max", sds.t_max, sds.t_min, 1.0)
+    _check_range("optim.sds.guidance", sds.guidance, 0.0, 1000.0)
+    _check_range("optim.sds.every", sds.every, 1, 10_000)
+    _check_range("optim.sds.start_step", sds.start_step, 0, 10_000_000)
 
 
 def _check_range(key: str, value: float, low: float, high: float) -> None:

@@ -52,6 +52,7 @@ def make_plan(
             Decision("perceptual term at every step and on the whole person", every == 1 and crop >= 2048,
                      f"every {every} steps on a random crop of {crop} px: it costs more than all else together")
         )  # fmt: skip
+    plan += sds_decisions(settings, moments)
     highest = reached_sh_degree(settings)
     plan.append(
         Decision("spherical harmonics above the active degree", False,
@@ -67,6 +68,19 @@ def make_plan(
     )
     plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
     return plan
+
+
+def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
+    """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order."""
+    sds = settings.optim.sds
+    reasons = [f"optim.sds.lambda_{name} = {getattr(sds, f'lambda_{name}'):g}" for name in ("pose", "can")]
+    used = [sds.lambda_pose > 0, sds.lambda_can > 0]
+    if used[0] and sds.where == "hidden" and moments is not None:
+        hidden = sum(bool(moment.evidence.hidden.any()) for moment in moments)
+        reasons[0] += f"; {hidden} of {len(moments)} training frames have hidden pixels to push"
+        used[0] = hidden > 0
+    names = ("loss term sds_pose", "loss term sds_can")
+    return [Decision(*parts) for parts in zip(names, used, reasons, strict=True)]
 
 
 def reached_sh_degree(settings: Settings) -> int:

@@ -19,6 +19,15 @@ def render_cloud(
     )  # fmt: skip
 
 
+def canonical_alpha(avatar: Avatar, camera: Camera, backend: str) -> torch.Tensor:
+    """Returns the occupancy of the canonical pose, `[H, W]`; differentiable, colours left out."""
+    cloud = avatar.canonical(camera.centre)
+    return rasterize(
+        cloud.means, None, None, cloud.opacities, torch.zeros_like(cloud.means), camera.viewmat, camera.K,
+        camera.width, camera.height, covariances=cloud.covariances, backend=backend,
+    ).alpha  # fmt: skip
+
+
 @torch.inference_mode()
 def render_frame(avatar: Avatar, frame: Frame, backend: str) -> Rendering:
     """Returns the avatar in a frame's pose as that frame's camera sees it, over black; no gradients."""

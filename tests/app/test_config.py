@@ -9,6 +9,7 @@ from hydra import compose, initialize_config_dir
 from occfusion.config import Settings, load_settings, settings_hash, stages_to_run
 from occfusion.data import OcclusionSettings
 from occfusion.errors import ConfigError
+from occfusion.stages.settings import SdsSettings
 
 CONF = Path(__file__).parents[2] / "conf"
 
@@ -52,6 +53,14 @@ def test_dataset_chooses_its_body_and_the_command_line_wins() -> None:
         ("optim.pixels=some", "optim.pixels"),
         ("optim.sh_degree=4", "optim.sh_degree"),
         ("+optim.lamda_rgb=1", "lamda_rgb"),
+        ("optim.sds.lambda_pose=-1", "optim.sds.lambda_pose"),
+        ("optim.sds.lambda_can=nan", "optim.sds.lambda_can"),
+        ("optim.sds.t_max=0.01", "optim.sds.t_max"),
+        ("optim.sds.every=0", "optim.sds.every"),
+        ("optim.sds.where=visible", "optim.sds.where"),
+        ("optim.sds.reduction=max", "optim.sds.reduction"),
+        ("optim.sds.schedule=cosine", "optim.sds.schedule"),
+        ("optim.sds.weighting=snr", "optim.sds.weighting"),
         ("trainer.max_steps=0", "trainer.max_steps"),
         ("trainer.checkpoint_every=0", "trainer.checkpoint_every"),
         ("seed=-1", "seed"),
@@ -68,7 +77,7 @@ def test_nothing_to_train_is_refused() -> None:
         settings_of(*zero)
 
 
-@pytest.mark.parametrize("override", ["variant=C", "variant=E", "stage=refine"])
+@pytest.mark.parametrize("override", ["variant=E", "stage=refine"])
 def test_what_does_not_exist_yet_is_refused_plainly(override: str) -> None:
     with pytest.raises(ConfigError, match=r"does not (exist|have)|not have yet"):
         settings_of(override)
@@ -100,6 +109,38 @@ def test_a_prior_is_no_part_of_a_run_that_asks_none() -> None:
         base = settings_hash(settings_of(f"variant={variant}"))
         assert settings_hash(settings_of(f"variant={variant}", "prior.seed=3", "init.smoothing=0")) == base
     assert settings_hash(settings_of("prior.seed=3")) != settings_hash(settings_of())
+
+
+def test_each_variant_has_its_terms_of_score_distillation() -> None:
+    for variant, used in {"gauhuman": 0, "A": 0, "B": 0, "C": 1, "D": 2}.items():
+        sds = settings_of(f"variant={variant}").optim.sds
+        assert (sds.lambda_pose > 0, sds.lambda_can > 0) == (used > 0, used > 1), variant
+        assert sds.is_used == (used > 0)
+
+
+def test_presets_of_score_distillation() -> None:
+    measured = settings_of("variant=D").optim.sds
+    assert measured == SdsSettings(lambda_pose=measured.lambda_pose, lambda_can=measured.lambda_can)
+    paper, code = (settings_of("variant=D", f"sds={name}").optim.sds for name in ("paper", "code"))
+    assert (paper.lambda_pose, paper.lambda_can, paper.reduction, paper.where) == (
+        2e5,
+        2e5,
+        "mean",
+        "everywhere",
+    )
+    assert (code.lambda_pose, code.lambda_can, code.reduction, code.schedule) == (20, 20, "sum", "annealed")
+    assert settings_of("variant=C", "sds=paper").optim.sds.lambda_can == 0
+    assert settings_of("variant=D", "sds=code", "optim.sds.lambda_can=3").optim.sds.lambda_can == 3
+
+
+def test_distillation_is_no_part_of_a_run_without_it() -> None:
+    base = settings_hash(settings_of())
+    assert settings_hash(settings_of("optim.sds.t_min=0.1", "sds=code")) == base
+    distilled = settings_hash(settings_of("variant=C"))
+    assert distilled != settings_hash(settings_of("variant=C", "optim.sds.t_min=0.1"))
+    assert settings_hash(
+        settings_of("variant=A", "optim.sds.lambda_pose=1", "prior.seed=3")
+    ) != settings_hash(settings_of("variant=A", "optim.sds.lambda_pose=1"))
 
 
 def test_numbers() -> None:

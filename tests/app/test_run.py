@@ -34,7 +34,7 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("variant", "stage"), [(v, s) for v in ("gauhuman", "A", "B") for s in ("all", "optim")]
+    ("variant", "stage"), [(v, s) for v in ("gauhuman", "A", "B", "C", "D") for s in ("all", "optim")]
 )
 def test_fast_dev_run(train: Train, variant: str, stage: str) -> None:
     folder, metrics = train(f"variant={variant}", f"stage={stage}", "trainer.fast_dev_run=true")
@@ -68,7 +68,7 @@ def test_run_folder_holds_what_the_interface_promises(train: Train) -> None:
     assert metrics["train_seconds"]["init"] > 0
 
 
-@pytest.mark.parametrize("variant", ["gauhuman", "A", "B"])
+@pytest.mark.parametrize("variant", ["gauhuman", "A", "B", "C", "D"])
 def test_stopped_and_resumed_run_equals_an_uninterrupted_one(
     train: Train, variant: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

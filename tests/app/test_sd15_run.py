@@ -9,7 +9,7 @@ import pytest
 
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask
-from tiny_sd15 import write_tiny_models
+from tiny_sd15 import write_tiny_controlnet, write_tiny_inpainting, write_tiny_models
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 STAGE = ("variant=B", "stage=init", "trainer.fast_dev_run=true")
@@ -31,3 +31,18 @@ def test_without_weights_nothing_is_started(train: Train, tmp_path: Path) -> Non
     with pytest.raises(DataError, match=r"prior\.inpainting=.*nowhere: there is no such folder.*hf download"):
         train(*STAGE, "prior=sd15", f"prior.inpainting={tmp_path / 'nowhere'}")
     assert not (tmp_path / "run" / "masks").exists()
+
+
+def test_score_distillation_on_latents(train: Train, tmp_path: Path) -> None:
+    write_tiny_inpainting(tmp_path / "model", channels_in=4)
+    write_tiny_controlnet(tmp_path / "controlnet")
+    models = [f"prior.score.{name}={tmp_path / name}" for name in ("model", "controlnet")]
+    options = ("variant=D", "prior=sd15", "sds=code", "init.source=truth", "optim.steps=2", *models)
+    folder, _ = train(*options, "optim.sds.posed_probability=1", "dataset.occlusion.fraction=1")
+    assert (folder / "optim" / "avatar.safetensors").is_file()
+
+
+def test_models_of_the_score_are_looked_for_before_masks_are_made(train: Train, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"prior\.score\.model=.*no such folder"):
+        train("variant=C", "prior=sd15", "init.source=truth", f"prior.score.model={tmp_path / 'nowhere'}")
+    assert not (tmp_path / "run").exists()

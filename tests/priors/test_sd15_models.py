@@ -19,6 +19,7 @@ from occfusion.errors import ConfigError, DataError
 from occfusion.priors.registry import make_mask_prior
 from occfusion.priors.sd15 import Sd15MaskPrior, Sd15Settings
 from occfusion.priors.sd15_models import require_packages
+from occfusion.priors.sd15_score import Sd15ScoreSettings
 
 CONF = Path(__file__).parents[2] / "conf"
 PUBLISHED = [
@@ -39,6 +40,9 @@ def composed(preset: str) -> dict[str, Any]:
 
 def test_presets_are_the_papers_values_and_the_codes() -> None:
     paper, code = composed("sd15"), composed("sd15_code")
+    score = paper.pop("score")
+    assert code.pop("score") == score
+    assert {**asdict(Sd15ScoreSettings()), **score} == asdict(Sd15ScoreSettings())
     assert paper == asdict(Sd15Settings())
     assert (paper["steps"], paper["control_scale"]) == (10, 1.0)
     assert paper["prompt"].startswith(

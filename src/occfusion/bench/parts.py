@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from occfusion import losses
 from occfusion.bench.scenes import SceneSize, make_scene
+from occfusion.geometry.resample import take_square
 from occfusion.human import Avatar, embedded_body
 from occfusion.metrics import padded_box
 from occfusion.perceptual import load_perceptual
+from occfusion.priors.embedded_score import EmbeddedScore
+from occfusion.priors.score import Draw, distil
+from occfusion.priors.views import view_canonical
+from occfusion.render import canonical_alpha
 from occfusion.splat import rasterize
 from occfusion.types import Box
 
@@ -62,6 +68,7 @@ def step_parts(backend: str, gaussians: int, size: int, seed: int) -> dict[str, 
         f"L1 and mask L2, {w} x {h} px": colours_and_mask,
         f"SSIM, {w} x {h} px": structure,
         **_perceptual_parts(picture, target, (x, y, w, h)),
+        **_distillation_parts(out.alpha[y : y + h, x : x + w].contiguous(), box, backend),
     }
 
 
@@ -84,6 +91,35 @@ def _avatar_parts() -> dict[str, Callable[[], object]]:
         f"avatar with its skinning network, {count} Gaussians": lambda: deform(0),
         f"avatar with kept skinning, {count} Gaussians": lambda: deform(1),
         f"Adam, {sum(p.numel() for p in avatar.parameters())} parameters": lambda: adam.step(),
+    }
+
+
+def _distillation_parts(alpha: Tensor, box: Box, backend: str) -> dict[str, Callable[[], object]]:
+    """Returns one distillation of the rendered occupancy, and of the canonical pose with its rendering."""
+    body = embedded_body()
+    prior = EmbeddedScore()
+    view = view_canonical(body, 0, prior.size)
+    told, mask = prior.look(view), torch.ones(prior.size, prior.size)
+    camera = replace(view.camera, viewmat=view.camera.viewmat.float(), K=view.camera.K.float())
+    avatar = Avatar(body, sh_degree=0)
+    draw = Draw(0.9, torch.randn(1, *prior.signal_shape, generator=torch.Generator().manual_seed(0)))
+
+    def push(occupancy: Tensor) -> None:
+        distil(
+            prior, occupancy, mask, told, draw, weighting="sigma2", guidance=1.0, reduction="mean"
+        ).backward()
+
+    def posed() -> None:
+        moving = alpha.clone().requires_grad_()
+        push(take_square(moving, box, box[0], box[1], max(box[2:]), prior.size))
+
+    def canonical() -> None:
+        push(canonical_alpha(avatar, camera, backend))
+
+    return {
+        f"distillation, {prior.name} {prior.size} px, the frame's pose": posed,
+        f"distillation, {prior.name} {prior.size} px, the canonical pose": canonical,
+        f"the prior's conditions, {prior.size} px, once a frame": lambda: prior.look(view),
     }
 
 

@@ -10,12 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from occfusion.priors.bodyview import project, view_body
 from occfusion.priors.crop import Square
 from occfusion.priors.diffusion import posterior_mean, sample
-from occfusion.priors.keypoints import see_keypoints
 from occfusion.priors.masks import MaskPrior, Observation
 from occfusion.priors.silhouette import Conditions, make_conditions
+from occfusion.priors.views import PersonView, view_observation
 from occfusion.priors.weights import load_silhouette_net
 
 
@@ -70,21 +69,8 @@ class EmbeddedMaskPrior(MaskPrior):
 
     def conditions(self, observation: Observation) -> tuple[Square, Conditions]:
         """Returns the crop of a frame and what the network is told of it."""
-        camera = observation.camera
-        viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
-        pixels, depths = project(observation.vertices, viewmat, K)
-        square = Square.around(pixels[depths > 0.01])
-        window = square.camera(camera, self.size)
-        projected = project(observation.vertices, viewmat, window.K.double().numpy())
-        view = view_body(*projected, observation.faces, self.size, self.size)
-        seen = see_keypoints(torch.from_numpy(observation.keypoints), window, view.depth)
-        visible = square.take(observation.visible.astype(np.float32), self.size)
-        background = square.take(observation.background.astype(np.float32), self.size, outside=1.0)
-        parts = (
-            (visible > 0.5).astype(np.float32), (background > 0.5).astype(np.float32), view.coverage,
-            view.relative_depth, (seen.pixels / self.size).astype(np.float32), seen.shown,
-        )  # fmt: skip
-        return square, make_conditions(*(torch.from_numpy(part)[None].to(self.device) for part in parts))
+        square, view = view_observation(observation, self.size)
+        return square, make_view_conditions(view).to(self.device)
 
     @torch.no_grad()
     def complete(self, conditions: Conditions) -> Tensor:
@@ -105,3 +91,16 @@ class EmbeddedMaskPrior(MaskPrior):
         else:
             silhouettes = 0.5 + 0.5 * posterior_mean(predict, noise)
         return silhouettes.reshape(len(conditions), count, *noise.shape[1:]).mean(dim=1)
+
+
+def make_view_conditions(view: PersonView) -> Conditions:
+    """Returns what the network is told of a view: one crop, on the CPU; what is not known is zero."""
+    body = view.body()
+    seen = view.seen(body)
+    unknown = np.zeros((view.size, view.size), np.float32)
+    parts = (
+        unknown if view.visible is None else view.visible,
+        unknown if view.background is None else view.background,
+        body.coverage, body.relative_depth, (seen.pixels / view.size).astype(np.float32), seen.shown,
+    )  # fmt: skip
+    return make_conditions(*(torch.from_numpy(part)[None] for part in parts))

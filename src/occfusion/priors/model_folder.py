@@ -73,6 +73,20 @@ SEGMENTER = ModelKind(
     ("model",),
     "2.6 GB, licence Apache-2.0",
 )
+SCORE_MODEL = ModelKind(
+    "prior.score.model",
+    "stable-diffusion-v1-5/stable-diffusion-v1-5",
+    INPAINTING.files,
+    INPAINTING.weights,
+    "2.1 GB, licence CreativeML OpenRAIL-M",
+)
+SCORE_CONTROLNET = ModelKind(
+    "prior.score.controlnet",
+    "lllyasviel/control_v11p_sd15_openpose",
+    CONTROLNET.files,
+    CONTROLNET.weights,
+    "1.4 GB, licence OpenRAIL",
+)
 
 
 def find_model(kind: ModelKind, source: str, revision: str | None, local_files_only: bool) -> Path:
@@ -122,7 +136,7 @@ def fingerprint(folder: Path, kind: ModelKind) -> str:
 def advice(kind: ModelKind, source: str, revision: str | None) -> str:
     """Returns how to get a model."""
     wanted, at = (source, revision) if _is_id(source) else (kind.published, None)
-    excluded = ["*.bin", "*.ckpt", *(["safety_checker/*"] if kind is INPAINTING else [])]
+    excluded = ["*.bin", "*.ckpt", *(["safety_checker/*"] if kind in (INPAINTING, SCORE_MODEL) else [])]
     options = [f"--revision {at}"] * bool(at) + [f'--exclude "{pattern}"' for pattern in excluded]
     return (
         f"Get it ({kind.about}) with: hf download {wanted} {' '.join(options)} -- or have the run "

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 
 from occfusion.errors import ConfigError
 from occfusion.priors.embedded import EmbeddedMaskPrior, EmbeddedSettings
+from occfusion.priors.embedded_score import EmbeddedScore
 from occfusion.priors.masks import MaskPrior
+from occfusion.priors.score import ScorePrior
+
+if TYPE_CHECKING:
+    from occfusion.priors.sd15_score import Sd15ScoreSettings
 
 S = TypeVar("S")
 
@@ -22,7 +27,7 @@ def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPr
         ConfigError: an unknown prior, key or type.
         DataError: weights are missing or damaged.
     """
-    options = dict(settings)
+    options = {key: value for key, value in settings.items() if key != "score"}
     name = options.pop("name", None)
     if name == "embedded":
         return EmbeddedMaskPrior(_typed(EmbeddedSettings, options), device)
@@ -31,6 +36,43 @@ def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPr
 
         return Sd15MaskPrior(_typed(Sd15Settings, options), device)
     raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")
+
+
+def make_score_prior(settings: Mapping[str, Any], device: torch.device) -> ScorePrior[Any]:
+    """Returns the prior whose score is distilled, of the same mapping as `make_mask_prior`; loads its weights.
+
+    Raises:
+        ConfigError: an unknown prior, key or type.
+        DataError: weights are missing or damaged.
+    """
+    name = settings.get("name")
+    if name == "embedded":
+        return EmbeddedScore(settings.get("weights"), device)
+    if name == "sd15":
+        from occfusion.priors.sd15_score import Sd15Score
+
+        return Sd15Score(_score_settings(settings), device)
+    raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")
+
+
+def check_score_prior(settings: Mapping[str, Any]) -> None:
+    """Looks for the models of `make_score_prior` without loading them, before hours are spent on what precedes it.
+
+    Raises:
+        ConfigError: an unknown key or type, or a package is missing.
+        DataError: a model is missing or incomplete.
+    """
+    if settings.get("name") == "sd15":
+        from occfusion.priors.sd15_score import find_score_models
+
+        find_score_models(_score_settings(settings))
+
+
+def _score_settings(settings: Mapping[str, Any]) -> Sd15ScoreSettings:
+    from occfusion.priors.sd15_score import Sd15ScoreSettings
+
+    shared = {key: settings[key] for key in ("local_files_only", "dtype", "device") if key in settings}
+    return _typed(Sd15ScoreSettings, {**shared, **(settings.get("score") or {})})
 
 
 def _typed(kind: type[S], options: Mapping[str, Any]) -> S:

@@ -17,7 +17,7 @@ from occfusion.priors.masks import MaskPrior, Observation
 from occfusion.priors.model_folder import CONTROLNET, INPAINTING, SEGMENTER, find_model, fingerprint
 from occfusion.priors.region import Region
 from occfusion.priors.sd15_models import load_inpainting, load_segmenter, require_packages
-from occfusion.priors.sd15_settings import DTYPES, NO_EFFECT, Sd15Settings
+from occfusion.priors.sd15_settings import DTYPES, NO_EFFECT, Sd15Settings, resolve_device
 
 __all__ = ["Sd15MaskPrior", "Sd15Settings"]
 
@@ -40,7 +40,11 @@ class Sd15MaskPrior(MaskPrior):
 
     def __init__(self, settings: Sd15Settings, device: torch.device | str = "cpu") -> None:
         self.settings = settings
-        self.device = _device(settings, device)
+        self.device = resolve_device(settings.device, settings.dtype, device)
+        if settings.cpu_offload and self.device.type == "cpu":
+            raise ConfigError(
+                "setting prior.cpu_offload=true: nothing runs on a GPU, so there is nothing to offload"
+            )
         require_packages(settings.cpu_offload)
         folders = [
             find_model(kind, source, revision, settings.local_files_only)
@@ -171,25 +175,6 @@ def prompts(seen: Keypoints, region: Region) -> NDArray[np.float64]:
 def frame_seed(seed: int, name: str) -> int:
     """Returns the seed of a frame's noise: the same on each machine and in each run."""
     return int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest()[:7], "big")
-
-
-def _device(settings: Sd15Settings, default: torch.device | str) -> torch.device:
-    """Returns where the models run."""
-    try:
-        device = torch.device(default if settings.device is None else settings.device)
-    except RuntimeError as error:
-        raise ConfigError(
-            f"setting prior.device={settings.device!r}: {str(error).splitlines()[0]}"
-        ) from error
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise ConfigError(f"setting prior.device={settings.device!r}: PyTorch finds no such GPU")
-    if settings.dtype == "float16" and device.type == "cpu":
-        raise ConfigError("setting prior.dtype=float16 is for GPUs; on a CPU choose float32 or bfloat16")
-    if settings.cpu_offload and device.type == "cpu":
-        raise ConfigError(
-            "setting prior.cpu_offload=true: nothing runs on a GPU, so there is nothing to offload"
-        )
-    return device
 
 
 def _planes(picture: Picture) -> torch.Tensor:

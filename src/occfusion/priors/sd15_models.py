@@ -6,13 +6,22 @@ import importlib.util
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from occfusion.errors import ConfigError, DataError
-from occfusion.priors.model_folder import CONTROLNET, INPAINTING, SEGMENTER, ModelKind, variant_of
+from occfusion.priors.model_folder import (
+    CONTROLNET,
+    INPAINTING,
+    SCORE_CONTROLNET,
+    SCORE_MODEL,
+    SEGMENTER,
+    ModelKind,
+    variant_of,
+)
 
 SAMPLERS = {
     "dpmsolver++": "DPMSolverMultistepScheduler",
@@ -83,6 +92,74 @@ def load_segmenter(folder: Path, dtype: torch.dtype) -> tuple[Any, Any]:
         with _explained(SEGMENTER.setting, folder):
             processor = transformers.SamHQProcessor.from_pretrained(folder, local_files_only=True)
     return model, processor
+
+
+@dataclass(frozen=True)
+class Denoiser:
+    """Stable Diffusion in parts.
+
+    Attributes:
+        unet: predicts noise in latents of 4 channels.
+        controlnet: steers it by a canvas.
+        vae: makes latents of pictures, float32.
+        texts: embeddings of the prompts, `[1, 77, C]` each.
+        kept: alpha-bar of each step of its schedule, `[T]`, float64.
+    """
+
+    unet: Any
+    controlnet: Any
+    vae: Any
+    texts: tuple[torch.Tensor, ...]
+    kept: torch.Tensor
+
+
+@torch.no_grad()
+def load_denoiser(model: Path, controlnet: Path, dtype: torch.dtype, prompts: tuple[str, ...]) -> Denoiser:
+    """Returns Stable Diffusion on the CPU, frozen, with prompts embedded; its text encoder is let go.
+
+    Args:
+        model: folder of the pipeline.
+        controlnet: folder of the ControlNet.
+        dtype: of UNet and ControlNet.
+        prompts: what to embed.
+
+    Raises:
+        DataError: the files do not belong together, are damaged, or are those of an inpainting model.
+    """
+    import diffusers
+    import transformers
+
+    with _quiet():
+        control = _load(diffusers.ControlNetModel, SCORE_CONTROLNET, controlnet, dtype)
+        unet = _load(diffusers.UNet2DConditionModel, SCORE_MODEL, model, dtype, subfolder="unet")
+        vae = _load(diffusers.AutoencoderKL, SCORE_MODEL, model, torch.float32, subfolder="vae")
+        encoder = _load(
+            transformers.CLIPTextModel, SCORE_MODEL, model, torch.float32, subfolder="text_encoder"
+        )
+        with _explained(SCORE_MODEL.setting, model):
+            if unet.config.in_channels != 4:
+                raise ValueError(
+                    f"its UNet takes {unet.config.in_channels} channels, not 4: it is for inpainting"
+                )
+            tokenizer = transformers.CLIPTokenizer.from_pretrained(
+                model, subfolder="tokenizer", local_files_only=True
+            )
+            schedule = diffusers.DDPMScheduler.from_pretrained(
+                model, subfolder="scheduler", local_files_only=True
+            )
+            if schedule.config.prediction_type != "epsilon":
+                raise ValueError(f"it predicts {schedule.config.prediction_type}, not the noise")
+            length = tokenizer.model_max_length
+            options = {
+                "padding": "max_length",
+                "truncation": True,
+                "max_length": length,
+                "return_tensors": "pt",
+            }
+            texts = tuple(encoder(tokenizer(prompt, **options).input_ids)[0].to(dtype) for prompt in prompts)
+    for part in (unet, control, vae):
+        part.requires_grad_(False)
+    return Denoiser(unet, control, vae, texts, schedule.alphas_cumprod.double())
 
 
 def _load(kind: Any, model: ModelKind, folder: Path, dtype: torch.dtype, subfolder: str = "") -> Any:

@@ -92,3 +92,25 @@ class Sd15Settings:
 def _check(key: str, value: object, holds: bool, allowed: str) -> None:
     if not holds:
         raise ConfigError(f"setting prior.{key}={value!r}: must be {allowed}")
+
+
+def resolve_device(device: str | None, dtype: str, default: torch.device | str) -> torch.device:
+    """Returns where models run.
+
+    Args:
+        device: the setting `prior.device`.
+        dtype: the setting `prior.dtype`.
+        default: where they run if the setting is null.
+
+    Raises:
+        ConfigError: no such device, or half precision on a CPU.
+    """
+    try:
+        found = torch.device(default if device is None else device)
+    except RuntimeError as error:
+        raise ConfigError(f"setting prior.device={device!r}: {str(error).splitlines()[0]}") from error
+    if found.type == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(f"setting prior.device={device!r}: PyTorch finds no such GPU")
+    if dtype == "float16" and found.type == "cpu":
+        raise ConfigError("setting prior.dtype=float16 is for GPUs; on a CPU choose float32 or bfloat16")
+    return found

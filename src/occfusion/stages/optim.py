@@ -1,4 +1,4 @@
-"""The optimisation stage: human Gaussians from what is seen (paper §4.2, photometric part; §3.3 for `A`)."""
+"""The optimisation stage: human Gaussians from what is seen, and from a prior (paper §4.2; §3.3 for `A`)."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from occfusion.human.gaussians import means_rate
 from occfusion.perceptual import PerceptualMetric, random_crop_box
 from occfusion.splat import rasterize
 from occfusion.stages.base import AvatarStage, check_finite_gradients, check_finite_terms
+from occfusion.stages.distil import Distiller
 from occfusion.stages.settings import OptimSettings
 from occfusion.stages.targets import Target, crop_frame
 from occfusion.types import Box, Camera, Frame, Rendering
@@ -37,6 +38,7 @@ class OptimStage(AvatarStage):
         settings: weights, schedules and rates.
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
         densifier: densification; None exactly when `settings.densify` is false.
+        distiller: score distillation; None where none of its terms has a weight.
         backend: rasteriser backend.
         seed: decides the perceptual crops, step by step.
     """
@@ -50,6 +52,7 @@ class OptimStage(AvatarStage):
         *,
         perceptual: PerceptualMetric | None,
         densifier: Densifier | None,
+        distiller: Distiller[Any] | None = None,
         backend: str,
         seed: int,
     ) -> None:
@@ -59,6 +62,7 @@ class OptimStage(AvatarStage):
         # wrapped in a tuple so that the frozen network is not part of this module's state
         self._perceptual = (perceptual,)
         self.densifier = densifier
+        self.distiller = distiller
         self.backend = backend
         self.seed = seed
         self._frame_name = ""
@@ -74,16 +78,18 @@ class OptimStage(AvatarStage):
     # -- one step ---------------------------------------------------------------------------------------------
 
     def training_step(self, frame: Frame, _batch_idx: int) -> Tensor:
-        """Returns the weighted sum of the loss terms for one frame (paper eq. of L_photo)."""
+        """Returns the weighted sum of the loss terms for one frame (paper §4.2, eq. of the stage's gradient)."""
         self._frame_name = frame.name
         step = self.global_step
-        rendering, target = self._render_crop(frame)
+        rendering, target, box = self._render_crop(frame)
         terms = self._terms_of(rendering, target, step)
+        if self.distiller is not None:
+            terms |= self.distiller.terms(self.avatar, frame, rendering.alpha, box, step)
         self.keep_terms(terms)
         check_finite_terms(terms, self.name, step, frame.name)
         return sum((self._weight(name) * value for name, value in terms.items()), start=torch.zeros(()))
 
-    def _render_crop(self, frame: Frame) -> tuple[Rendering, Target]:
+    def _render_crop(self, frame: Frame) -> tuple[Rendering, Target, Box]:
         camera = frame.camera
         cloud = self.avatar(frame.pose, camera.centre)
         shown = frame.visible_mask if frame.complete_mask is None else frame.complete_mask
@@ -96,7 +102,7 @@ class OptimStage(AvatarStage):
             crop=box, screen_offsets=self._screen_offsets,
         )  # fmt: skip
         self._radii, self._camera = rendering.radii, camera
-        return rendering, crop_frame(frame, box)
+        return rendering, crop_frame(frame, box), box
 
     def _terms_of(self, rendering: Rendering, target: Target, step: int) -> dict[str, Tensor]:
         settings = self.settings
@@ -118,6 +124,8 @@ class OptimStage(AvatarStage):
         return terms
 
     def _weight(self, name: str) -> float:
+        if self.distiller is not None and name.startswith("sds_"):
+            return self.distiller.weight(name)
         weight: float = getattr(self.settings, f"lambda_{name}")
         # every k-th step at k times the weight leaves the expected gradient as it is
         return weight * self.settings.perceptual_every if name == "lpips" else weight

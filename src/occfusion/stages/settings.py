@@ -59,6 +59,47 @@ class PriorTrainingSettings:
 
 
 @dataclass
+class SdsSettings:
+    """Score distillation on the occupancy map (paper §4.2).
+
+    Attributes:
+        lambda_pose: weight in the frame's pose; 0: left out.
+        lambda_can: weight in the canonical pose; 0: left out.
+        posed_probability: the paper's rho: chance that a step takes the frame's pose.
+        weighting: w(t): `sigma2`, or `uniform`.
+        schedule: of t: `random`, or `annealed` from `t_max` to `t_min` over the stage.
+        t_min: least diffusion time, 0..1.
+        t_max: greatest diffusion time.
+        reduction: `mean` or `sum` over the values of the prior's signal.
+        guidance: 1: the score with conditions, 0: the one without (sd15: with the negative prompt).
+        every: steps from one term to the next, which then has that many times the weight.
+        where: `hidden`: only pixels that are neither seen to show the person nor known background are pushed;
+            `everywhere`. In the canonical pose nothing is known.
+        evidence: whether the prior is told what is seen, if it takes that.
+        start_step: first step with the term.
+    """
+
+    lambda_pose: float = 0.0
+    lambda_can: float = 0.0
+    posed_probability: float = 0.75
+    weighting: str = "sigma2"
+    schedule: str = "annealed"
+    t_min: float = 0.7
+    t_max: float = 0.98
+    reduction: str = "mean"
+    guidance: float = 1.0
+    every: int = 1
+    where: str = "hidden"
+    evidence: bool = True
+    start_step: int = 0
+
+    @property
+    def is_used(self) -> bool:
+        """Whether any term has a weight."""
+        return self.lambda_pose > 0.0 or self.lambda_can > 0.0
+
+
+@dataclass
 class OptimSettings:
     """The optimisation stage (paper §4.2)."""
 
@@ -79,3 +120,4 @@ class OptimSettings:
     densify: bool = False
     densification: Densification = field(default_factory=Densification)
     rates: RateSettings = field(default_factory=RateSettings)
+    sds: SdsSettings = field(default_factory=SdsSettings)
