@@ -50,7 +50,7 @@ class PriorTrainingSettings:
     batch: int = 16
     rate: float = 8e-4
     warmup: int = 200
-    at_end: float = 0.3
+    at_end: float = 0.4
     averaging: float = 0.998
     examples: int = 20_000
     validation: int = 96
