@@ -38,7 +38,7 @@ def test_train_with_all_defaults_on_a_tiny_scene(tmp_path: Path) -> None:
     [
         ("optim.stepz=3", "stepz"),
         ("dataset=nowhere", "nowhere"),
-        ("variant=D", "does not exist in this version yet"),
+        ("variant=E", "does not exist in this version yet"),
         ("dataset=zju body=anny", "dataset.root"),
         ("dataset=zju", "body.path"),
     ],
