@@ -32,9 +32,9 @@ def test_table_failures_and_no_second_run(tmp_path: Path, scene_root: Path) -> N
     scene = [
         f"dataset.root={scene_root}", "dataset.scene=001-clean", f"body.path={scene_root}/001-clean/body.npz"
     ]  # fmt: skip
-    done = train(tmp_path, "variant=A,D", "seed=0,1", *scene)
+    done = train(tmp_path, "variant=A,E", "seed=0,1", *scene)
     assert done.returncode == 1, done.stderr
-    assert sum(line.startswith("failed: ") and "variant=D" in line for line in done.stdout.splitlines()) == 2
+    assert sum(line.startswith("failed: ") and "variant=E" in line for line in done.stdout.splitlines()) == 2
     text = (tmp_path / "sweep" / "table.md").read_text()
     assert "# 4 jobs, 2 finished runs, 2 without a result" in text
     assert "does not exist in this version yet" in text
