@@ -16,6 +16,10 @@ MIN_SCALE, MAX_SCALE = 1e-5, 0.5
 """Bounds on standard deviations in metres: from a hair's tenth to a torso. Outside, nothing of a person is
 drawn, and exponentials head for overflow."""
 
+WIDEST = 0.05
+"""Bound on standard deviations in metres while training: what grows wider is a needle that one camera sees from its
+end, and all others as a streak across the picture."""
+
 MAX_LOGIT = 12.0
 """Bound on opacity logits: past it the sigmoid of float32 stops having a useful gradient."""
 
@@ -120,7 +124,7 @@ class Gaussians(nn.Module):
     @torch.no_grad()
     def constrain(self) -> None:
         """Brings parameters that left their bounds back, so that their gradient is never cut off for good."""
-        self.log_scales.clamp_(math.log(MIN_SCALE), math.log(MAX_SCALE))
+        self.log_scales.clamp_(math.log(MIN_SCALE), math.log(WIDEST))
         self.opacity_logits.clamp_(-MAX_LOGIT, MAX_LOGIT)
         norms = self.raw_quats.norm(dim=-1, keepdim=True)
         is_off = (norms < _NORM_RANGE[0]) | (norms > _NORM_RANGE[1])
