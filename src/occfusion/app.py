@@ -26,16 +26,20 @@ from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.prior_run import run_prior_training
 from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior, make_score_prior
+from occfusion.refine_run import file_digest, make_references
 from occfusion.render import render_frame
 from occfusion.report import write_report
 from occfusion.runfolder import claim_run_folder
 from occfusion.splat import resolve_backend
+from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.curve import ErrorCurve
 from occfusion.stages.distil import Distiller
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.optim import OptimStage
 from occfusion.stages.progress import ProgressLine
+from occfusion.stages.refine import RefineStage
+from occfusion.stages.settings import AvatarSettings
 from occfusion.tables import print_summary
 from occfusion.types import Frame, Rendering
 
@@ -115,7 +119,10 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
     decisions = planning.make_plan(settings, summary, backend, moments)
     write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
     perceptual = None
-    if settings.optim.lambda_lpips or settings.evaluation.perceptual:
+    is_perceptual = settings.optim.lambda_lpips or (
+        "refine" in stages_to_run(settings) and settings.refine.lambda_lpips
+    )
+    if is_perceptual or settings.evaluation.perceptual:
         perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
     optim = settings.optim
     avatar = Avatar(
@@ -154,22 +161,13 @@ def _complete_masks(run_: Run) -> None:
 
 def _run_stage(run_: Run, name: str) -> None:
     """Trains a stage, or takes its result over when it is finished already."""
-    assert name == "optim"  # load_settings lets no other stage through yet
     settings, folder = run_.settings, run_.folder / name
     finished = folder / "avatar.safetensors"
     if (folder / "stage.json").is_file() and finished.is_file():
         print(f"{name}: finished before, taken from {folder}")
         run_.avatar = load_avatar(finished, run_.avatar.body)
         return
-    stage = OptimStage(
-        run_.avatar,
-        settings.optim,
-        perceptual=run_.perceptual if settings.optim.lambda_lpips else None,
-        densifier=_make_densifier(settings),
-        distiller=_make_distiller(run_),
-        backend=run_.backend,
-        seed=settings.seed,
-    )
+    stage, seconds_before = _optim_stage(run_) if name == "optim" else _refine_stage(run_)
     guard = SignalGuard()
     callbacks: list[L.Callback] = [guard]
     if not settings.trainer.fast_dev_run:
@@ -178,21 +176,56 @@ def _run_stage(run_: Run, name: str) -> None:
         callbacks.append(_curve(run_))
     if settings.trainer.enable_progress_bar:
         callbacks.append(ProgressLine())
-    trainer = _trainer(settings, settings.optim.steps, callbacks)
+    own: AvatarSettings = getattr(settings, name)
+    trainer = _trainer(settings, own.steps, callbacks)
     checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
+    run_.avatar.train()
     with guard:
         trainer.fit(stage, datamodule=run_.data, ckpt_path=checkpoint, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(folder / "last.ckpt"))
-    _hand_over(run_, folder, stage.clock.seconds, trainer.global_step)
+    _hand_over(run_, folder, seconds_before + stage.clock.seconds, trainer.global_step)
 
 
-def _make_densifier(settings: Settings) -> Densifier | None:
-    optim = settings.optim
-    if not optim.densify:
-        return None
+def _optim_stage(run_: Run) -> tuple[AvatarStage, float]:
+    settings = run_.settings
+    stage = OptimStage(
+        run_.avatar,
+        settings.optim,
+        perceptual=run_.perceptual if settings.optim.lambda_lpips else None,
+        densifier=_make_densifier(settings.optim, settings.optim.lambda_rgb),
+        distiller=_make_distiller(run_),
+        backend=run_.backend,
+        seed=settings.seed,
+    )
+    return stage, 0.0
+
+
+def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
+    """Returns the stage, its references made, and the seconds that they took."""
+    settings, refine = run_.settings, run_.settings.refine
+    assert run_.moments is not None
+    identity = {"data": run_.data_hash, "avatar": file_digest(run_.folder / "optim" / "avatar.safetensors")}
+    references, seconds = make_references(
+        settings, run_.folder, run_.data, run_.avatar, run_.moments, identity, run_.backend, _device(settings)
+    )
+    run_.avatar.gaussians.allocate_bands(planning.refined_sh_degree(settings))
+    stage = RefineStage(
+        run_.avatar,
+        refine,
+        references,
+        perceptual=run_.perceptual if refine.lambda_lpips else None,
+        densifier=_make_densifier(refine, refine.lambda_rgb),
+        backend=run_.backend,
+        seed=settings.seed,
+        steps_before=planning.steps_of(settings, settings.optim),
+    )
+    return stage, seconds
+
+
+def _make_densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | None:
     # the threshold belongs to a loss whose colour term has weight 1
-    return Densifier(optim.densification, loss_scale=optim.lambda_rgb or 1.0)
+    return Densifier(settings.densification, loss_scale=lambda_rgb or 1.0) if settings.densify else None
 
 
 def _make_distiller(run_: Run) -> Distiller[Any] | None:

@@ -17,14 +17,19 @@ from omegaconf.errors import OmegaConfBaseException
 
 from occfusion.errors import ConfigError
 from occfusion.priors.distillation import REDUCTIONS, SCHEDULES, WEIGHTINGS
-from occfusion.stages.settings import InitSettings, OptimSettings, PriorTrainingSettings, SdsSettings
+from occfusion.stages.settings import (
+    AvatarSettings,
+    InitSettings,
+    OptimSettings,
+    PriorTrainingSettings,
+    RefineSettings,
+    SdsSettings,
+)
 
 STAGES = ("init", "optim", "refine")
 PRIOR_STAGE = "prior"
 """The stage that trains a prior; it has no data set and no avatar."""
 PRIORS = ("embedded", "sd15")
-IMPLEMENTED_STAGES = ("init", "optim")
-IMPLEMENTED_VARIANTS = ("gauhuman", "A", "B", "C", "D")
 PERCEPTUAL_INPUTS = ("centred", "unit")
 """What the evaluation's perceptual metric is fed: -1..1, as it was trained, or 0..1, as GauHuman's family does."""
 VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
@@ -105,6 +110,7 @@ class Settings:
     perceptual: PerceptualSettings = field(default_factory=PerceptualSettings)
     init: InitSettings = field(default_factory=InitSettings)
     optim: OptimSettings = field(default_factory=OptimSettings)
+    refine: RefineSettings = field(default_factory=RefineSettings)
     prior_training: PriorTrainingSettings = field(default_factory=PriorTrainingSettings)
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
@@ -122,8 +128,10 @@ def load_settings(config: DictConfig) -> Settings:
     try:
         schema = OmegaConf.structured(Settings)
         # a frozen dataclass would make its node read-only to the merge as well
-        OmegaConf.set_readonly(schema.optim.densification, False)
-        merged = OmegaConf.merge(schema, config)
+        for stage in (schema.optim, schema.refine):
+            OmegaConf.set_readonly(stage.densification, False)
+        # a reference to a whole group has no type of its own: it is followed before the types are checked
+        merged = OmegaConf.merge(schema, OmegaConf.to_container(config, resolve=True))
         settings = OmegaConf.to_object(merged)
     except OmegaConfBaseException as error:
         key = getattr(error, "full_key", None) or "?"
@@ -141,6 +149,9 @@ def settings_hash(settings: Settings) -> str:
     for key in ("stage", "evaluation", "output_dir", "shared_dir", "prior_training"):
         del relevant[key]
     is_distilled = settings.optim.sds.is_used
+    if "refine" not in settings.variant.stages:
+        del relevant["refine"]
+        relevant["prior"].pop("inpaint", None)
     if "init" not in settings.variant.stages:
         del relevant["init"]
         if not is_distilled:  # no prior is asked
@@ -169,15 +180,9 @@ def stages_to_run(settings: Settings) -> list[str]:
 
 
 def _check_choices(settings: Settings) -> None:
-    available = ", ".join(f"variant={name}" for name in IMPLEMENTED_VARIANTS)
-    if settings.variant.name not in IMPLEMENTED_VARIANTS:
-        raise ConfigError(
-            f"variant={settings.variant.name} does not exist in this version yet; available: {available}"
-        )
+    _check_in("variant.name", settings.variant.name, VARIANTS)
+    _check_in("stage.name", settings.stage.name, ("all", *STAGES, PRIOR_STAGE))
     for stage in stages_to_run(settings):
-        if stage not in IMPLEMENTED_STAGES:
-            choices = ", ".join(f"stage={name}" for name in ("all", *IMPLEMENTED_STAGES, PRIOR_STAGE))
-            raise ConfigError(f"stage={stage} does not exist in this version yet; available: {choices}")
         if stage not in settings.variant.stages:
             raise ConfigError(
                 f"stage={stage}: variant={settings.variant.name} has no such stage; it has "
@@ -185,6 +190,7 @@ def _check_choices(settings: Settings) -> None:
             )
     _check_in("prior.name", str(settings.prior.get("name")), PRIORS)
     _check_in("init.source", settings.init.source, ("prior", "truth"))
+    _check_in("refine.source", settings.refine.source, ("prior", "coarse", "truth"))
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
     _check_in("optim.sh_frame", settings.optim.sh_frame, ("canonical", "world"))
@@ -202,22 +208,13 @@ def _check_in(key: str, value: str, allowed: tuple[str, ...]) -> None:
 
 def _check_ranges(settings: Settings) -> None:
     optim, trainer, evaluation = settings.optim, settings.trainer, settings.evaluation
-    weights = {
-        key: getattr(optim, key) for key in ("lambda_rgb", "lambda_mask", "lambda_ssim", "lambda_lpips")
-    }
-    for key, value in weights.items():
-        _check_range(f"optim.{key}", value, 0.0, math.inf)
-    if not any(weights.values()):
-        raise ConfigError("settings optim.lambda_*: all weights are zero, so there is nothing to train")
-    for key, value in vars(optim.rates).items():
-        _check_range(f"optim.rates.{key}", value, 0.0, 10.0)
+    for name, stage, terms in (
+        ("optim", optim, ("rgb", "mask", "ssim", "lpips")),
+        ("refine", settings.refine, ("rgb", "mask", "gen", "ssim", "lpips")),
+    ):
+        _check_avatar_ranges(name, stage, terms)
     _check_range("init.threshold", settings.init.threshold, 0.0, 1.0)
     _check_range("init.smoothing", settings.init.smoothing, 0.0, 10.0)
-    _check_range("optim.steps", optim.steps, 1, 10_000_000)
-    _check_range("optim.perceptual_every", optim.perceptual_every, 1, 10_000)
-    _check_range("optim.perceptual_crop", optim.perceptual_crop, 32, 2048)
-    _check_range("optim.sh_degree", optim.sh_degree, 0, 3)
-    _check_range("optim.sh_every", optim.sh_every, 1, 10_000_000)
     _check_range("optim.skinning_every", optim.skinning_every, 1, 10_000)
     _check_sds_ranges(optim.sds)
     _check_range("seed", settings.seed, 0, 2**32 - 1)
@@ -229,6 +226,21 @@ def _check_ranges(settings: Settings) -> None:
     _check_range("evaluation.perceptual_every", evaluation.perceptual_every, 1, 10_000)
     _check_range("evaluation.curve_images", evaluation.curve_images, 1, 1000)
     _check_range("evaluation.curve_first_second", evaluation.curve_first_second, 0.01, 1e6)
+
+
+def _check_avatar_ranges(name: str, stage: AvatarSettings, terms: tuple[str, ...]) -> None:
+    weights = {f"{name}.lambda_{term}": getattr(stage, f"lambda_{term}") for term in terms}
+    for key, value in weights.items():
+        _check_range(key, value, 0.0, math.inf)
+    if not any(weights.values()):
+        raise ConfigError(f"settings {name}.lambda_*: all weights are zero, so there is nothing to train")
+    for key, value in vars(stage.rates).items():
+        _check_range(f"{name}.rates.{key}", value, 0.0, 10.0)
+    _check_range(f"{name}.steps", stage.steps, 1, 10_000_000)
+    _check_range(f"{name}.perceptual_every", stage.perceptual_every, 1, 10_000)
+    _check_range(f"{name}.perceptual_crop", stage.perceptual_crop, 32, 2048)
+    _check_range(f"{name}.sh_degree", stage.sh_degree, 0, 3)
+    _check_range(f"{name}.sh_every", stage.sh_every, 1, 10_000_000)
 
 
 def _check_sds_ranges(sds: SdsSettings) -> None:

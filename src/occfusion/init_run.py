@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-import lightning as L
 import torch
-from torch.utils.data import DataLoader, IterableDataset
 
 from occfusion.config import Settings
 from occfusion.data.module import HumanDataModule
@@ -21,9 +19,9 @@ from occfusion.priors.moments import Moment, look
 from occfusion.priors.registry import make_mask_prior
 from occfusion.priors.truth import TruthMasks
 from occfusion.sharing import discard, offer, shared_folder, take
+from occfusion.stages.framewise import predict_frames
 from occfusion.stages.init import InitStage, mask_path
-from occfusion.stages.interruption import Interrupted, SignalGuard
-from occfusion.stages.progress import FrameProgress
+from occfusion.stages.interruption import Interrupted
 from occfusion.types import Frame
 
 
@@ -67,7 +65,9 @@ def run_init(
     if wanted and settings.init.calibrate and settings.init.source == "prior":
         stage.calibration = calibrate(prior, moments, read, body)
     if wanted:
-        _predict(stage, read, wanted, settings)
+        signal = predict_frames(stage, read, wanted, progress=settings.trainer.enable_progress_bar)
+        if signal is not None and stage.wanted:
+            raise Interrupted(signal, str(stage.folder))
     if settings.trainer.fast_dev_run or (not wanted and record.is_file()):
         data.use_complete_masks(lambda frame: mask_path(masks, frame))
         return
@@ -117,34 +117,3 @@ def _make_prior(settings: Settings, data: HumanDataModule, device: torch.device)
         )
     known = ((frame.name, frame.truth) for frame in data.train_frames())
     return TruthMasks({name: truth.mask.numpy() for name, truth in known if truth is not None})
-
-
-class _Frames(IterableDataset[Frame]):
-    """Training frames at some positions, until a signal comes: Lightning's prediction loop does not look for one."""
-
-    def __init__(self, read: Callable[[int], Frame], positions: Sequence[int], guard: SignalGuard) -> None:
-        self._read, self._positions, self._guard = read, positions, guard
-
-    def __iter__(self) -> Iterator[Frame]:
-        for position in self._positions:
-            if self._guard.received is not None:
-                return
-            yield self._read(position)
-
-
-def _predict(
-    stage: InitStage, read: Callable[[int], Frame], wanted: Sequence[int], settings: Settings
-) -> None:
-    guard = SignalGuard()
-    callbacks: list[L.Callback] = [guard]
-    if settings.trainer.enable_progress_bar:
-        callbacks.append(FrameProgress(len(wanted)))
-    trainer = L.Trainer(
-        accelerator="cpu", devices=1, logger=False, enable_checkpointing=False, enable_model_summary=False,
-        enable_progress_bar=settings.trainer.enable_progress_bar, callbacks=callbacks,
-    )  # fmt: skip
-    loader = DataLoader(_Frames(read, wanted, guard), batch_size=None)
-    with guard:
-        trainer.predict(stage, loader, return_predictions=False)
-    if guard.received is not None and stage.wanted:
-        raise Interrupted(guard.received, str(stage.folder))

@@ -9,6 +9,7 @@ from typing import Any
 from occfusion.config import STAGES, Settings, stages_to_run
 from occfusion.priors.evidence import HIDDEN_SHARE
 from occfusion.priors.moments import Moment
+from occfusion.stages.settings import AvatarSettings
 
 
 @dataclass(frozen=True)
@@ -84,10 +85,21 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
 
 
 def reached_sh_degree(settings: Settings) -> int:
-    """Returns the highest SH degree that the run's steps reach; higher bands need not exist."""
+    """Returns the highest SH degree that the optimisation stage reaches; higher bands need not exist."""
     optim = settings.optim
-    steps = optim.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
-    return min(optim.sh_degree, (steps - 1) // optim.sh_every)
+    return min(optim.sh_degree, (steps_of(settings, optim) - 1) // optim.sh_every)
+
+
+def refined_sh_degree(settings: Settings) -> int:
+    """Returns the highest SH degree that the refinement stage reaches."""
+    refine = settings.refine
+    steps = steps_of(settings, settings.optim) + steps_of(settings, refine)
+    return max(reached_sh_degree(settings), min(refine.sh_degree, (steps - 1) // refine.sh_every))
+
+
+def steps_of(settings: Settings, stage: AvatarSettings) -> int:
+    """Returns the steps that a stage takes."""
+    return stage.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
 
 
 def left_out(plan: list[Decision]) -> list[str]:

@@ -17,9 +17,10 @@ from occfusion.files.atomic import write_json
 from occfusion.files.table import write_table
 from occfusion.priors.batches import Batch, validation_batches
 from occfusion.priors.completion import completion_iou
+from occfusion.priors.corpus import SIZE
 from occfusion.priors.corpus_folder import Corpus
 from occfusion.priors.silhouette import SilhouetteNet
-from occfusion.priors.weights import save_silhouette_net
+from occfusion.priors.weights import SILHOUETTE, save_net
 from occfusion.runfolder import claim_run_folder
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.interruption import Interrupted, SignalGuard
@@ -48,7 +49,8 @@ def run_prior_training(settings: Settings, *, folder_chosen_by_user: bool) -> di
     for made in corpus.prepare():
         if made % max(1, training.examples // 10) == 0:
             print(f"corpus: {made} of {training.examples} silhouettes", flush=True)
-    stage = PriorStage(training, seed=settings.seed)
+    net = SilhouetteNet(tuple(training.widths), training.depth)
+    stage = PriorStage(net, training, seed=settings.seed)
     guard = SignalGuard()
     curve = PriorCurve(folder / "error_vs_time.csv", training, settings.seed)
     callbacks: list[L.Callback] = [guard, curve]
@@ -79,7 +81,7 @@ def run_prior_training(settings: Settings, *, folder_chosen_by_user: bool) -> di
         "validation": curve.last,
         "data": "silhouettes of embedded subjects 0 to 99, made by this package",
     }
-    save_silhouette_net(folder / WEIGHTS, stage.finished(), training.widths, training.depth, card)
+    save_net(folder / WEIGHTS, stage.finished(), SILHOUETTE, SIZE, training.widths, training.depth, card)
     write_json(folder / "card.json", card)
     print(f"weights: {folder / WEIGHTS}")
     return card

@@ -16,7 +16,7 @@ from occfusion.human import Body, load_body
 from occfusion.priors.calibration import STILL, Calibration, _logistic, calibrate, measure_thickness
 from occfusion.priors.masks import MaskPrior, Observation
 from occfusion.priors.moments import Moment, look
-from occfusion.priors.weights import load_silhouette_net, save_silhouette_net
+from occfusion.priors.weights import SILHOUETTE, load_silhouette_net, save_net
 from occfusion.stages.init import InitStage, mask_path
 from occfusion.stages.settings import InitSettings
 from occfusion.types import Frame
@@ -239,7 +239,7 @@ def test_thickness_of_clothes_is_what_stands_off_the_body(data: ZjuDataModule, b
 def test_weights_come_back_and_a_changed_value_is_noticed(tmp_path: Path) -> None:
     net, card = load_silhouette_net()
     path = tmp_path / "w.safetensors"
-    save_silhouette_net(path, net, card["widths"], card["depth"], {"data": "test"})
+    save_net(path, net, SILHOUETTE, card["size"], card["widths"], card["depth"], {"data": "test"})
     back, again = load_silhouette_net(path)
     assert again["data"] == "test"
     for a, b in zip(net.parameters(), back.parameters(), strict=True):

@@ -151,14 +151,15 @@ class HumanDataModule(L.LightningDataModule):
 
     # --- frames --------------------------------------------------------------------------------------
 
-    def train_frame(self, position: int, *, truth: bool = True) -> Frame:
+    def train_frame(self, position: int, *, truth: bool = True, complete: bool = False) -> Frame:
         """Returns a training frame by its position in `train_indices`.
 
         Args:
             position: 0 to the number of training frames less one.
             truth: also give the unoccluded person and the occluder's place; training never asks for it.
+            complete: also give the complete mask, if a stage has made one.
         """
-        return self._open()[1].train_frame(position, truth=truth)
+        return self._open()[1].train_frame(position, truth=truth, complete=complete)
 
     def frame_at(self, step: int) -> Frame:
         """Returns the frame that training step `step` is given: a function of seed and step alone."""

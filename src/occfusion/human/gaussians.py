@@ -110,6 +110,14 @@ class Gaussians(nn.Module):
         count = (degree + 1) ** 2 - 1
         return torch.cat([self.sh0, self.sh_rest[:, :count]], dim=1) if count else self.sh0
 
+    @torch.no_grad()
+    def allocate_bands(self, sh_degree: int) -> None:
+        """Makes room for bands up to `sh_degree`, new ones zero; before an optimiser is made."""
+        missing = (sh_degree + 1) ** 2 - 1 - self.sh_rest.shape[1]
+        if missing > 0:
+            rest = self.sh_rest
+            self.sh_rest = nn.Parameter(torch.cat([rest, rest.new_zeros(len(rest), missing, 3)], dim=1))
+
     def set_vertex_index(self, index: Tensor) -> None:
         """Names the body vertex whose skinning and blend shapes each Gaussian follows, `[N]`."""
         self.vertex_index = index.to(device=self.means.device, dtype=torch.int64)

@@ -39,6 +39,10 @@ class Batch:
     conditions: Conditions
     weight: Tensor
 
+    def to(self, device: torch.device | str) -> Batch:
+        """Returns the batch on `device`."""
+        return Batch(self.clean.to(device), self.conditions.to(device), self.weight.to(device))
+
 
 def validation_batches(count: int, seed: int, size: int = 16) -> dict[str, list[Batch]]:
     """Returns silhouettes of the training subjects in other poses, half hidden, every condition given.

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 S = TypeVar("S")
 
+OTHERS = ("score", "inpaint")
+"""Keys of the settings of `prior=` that are not the mask prior's."""
+
 
 def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPrior:
     """Returns the prior of a mapping with the key `name` and its settings; loads its weights.
@@ -27,14 +30,14 @@ def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPr
         ConfigError: an unknown prior, key or type.
         DataError: weights are missing or damaged.
     """
-    options = {key: value for key, value in settings.items() if key != "score"}
+    options = {key: value for key, value in settings.items() if key not in OTHERS}
     name = options.pop("name", None)
     if name == "embedded":
-        return EmbeddedMaskPrior(_typed(EmbeddedSettings, options), device)
+        return EmbeddedMaskPrior(typed_settings(EmbeddedSettings, options), device)
     if name == "sd15":
         from occfusion.priors.sd15 import Sd15MaskPrior, Sd15Settings  # diffusers is an extra
 
-        return Sd15MaskPrior(_typed(Sd15Settings, options), device)
+        return Sd15MaskPrior(typed_settings(Sd15Settings, options), device)
     raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")
 
 
@@ -72,18 +75,22 @@ def _score_settings(settings: Mapping[str, Any]) -> Sd15ScoreSettings:
     from occfusion.priors.sd15_score import Sd15ScoreSettings
 
     shared = {key: settings[key] for key in ("local_files_only", "dtype", "device") if key in settings}
-    return _typed(Sd15ScoreSettings, {**shared, **(settings.get("score") or {})})
+    return typed_settings(Sd15ScoreSettings, {**shared, **(settings.get("score") or {})})
 
 
-def _typed(kind: type[S], options: Mapping[str, Any]) -> S:
-    """Returns a settings record of a mapping; numbers and texts must be of the kind of its defaults."""
+def typed_settings(kind: type[S], options: Mapping[str, Any], group: str = "prior") -> S:
+    """Returns a settings record of a mapping; numbers and texts must be of the kind of its defaults.
+
+    Raises:
+        ConfigError: an unknown key or a wrong type.
+    """
     known = {field.name: field.default for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key, value in options.items():
         if key not in known:
-            raise ConfigError(f"setting prior.{key}: unknown; this prior has {', '.join(known)}")
+            raise ConfigError(f"setting {group}.{key}: unknown; this prior has {', '.join(known)}")
         default = known[key]
         if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
             continue
         if default is not None and value is not None and not isinstance(value, type(default)):
-            raise ConfigError(f"setting prior.{key}={value!r}: expected {type(default).__name__}")
+            raise ConfigError(f"setting {group}.{key}={value!r}: expected {type(default).__name__}")
     return kind(**options)

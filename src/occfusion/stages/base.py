@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 
 import lightning as L
@@ -34,19 +33,6 @@ class Stage(L.LightningModule):
     def last_terms(self) -> dict[str, float]:
         """Returns the latest value of each loss term, unweighted."""
         return {name: float(value) for name, value in self._terms.items()}
-
-
-class AvatarStage(Stage):
-    """An interface: a stage that trains an avatar."""
-
-    @property
-    @abstractmethod
-    def num_gaussians(self) -> int:
-        """Gaussians at present."""
-
-    def progress_note(self) -> str:
-        """Returns the number of Gaussians."""
-        return f"{self.num_gaussians / 1000:.1f}k gaussians"
 
 
 def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame: str) -> None:

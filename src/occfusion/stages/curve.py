@@ -14,7 +14,7 @@ from occfusion.evaluate import evaluate_frames, summarise
 from occfusion.files.table import write_table
 from occfusion.memory import peak_memory_mb
 from occfusion.perceptual import PerceptualMetric
-from occfusion.stages.base import AvatarStage
+from occfusion.stages.avatar import AvatarStage
 from occfusion.types import Frame, Rendering
 
 COLUMNS = (

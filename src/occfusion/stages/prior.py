@@ -1,39 +1,63 @@
-"""Training of the embedded silhouette prior (`stage=prior`)."""
+"""Training of the embedded priors (`stage=prior`)."""
 
 from __future__ import annotations
 
 import copy
 import math
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from occfusion.priors.batches import Batch
 from occfusion.priors.diffusion import diffuse, velocity
-from occfusion.priors.silhouette import SilhouetteNet
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
 from occfusion.stages.settings import PriorTrainingSettings
 
+Net = TypeVar("Net", bound=nn.Module)
 
-class PriorStage(Stage):
-    """Fits a silhouette network by v-prediction; keeps an exponential average of its weights, which is the result.
 
-    A share of the examples is trained at t = 1, where the prediction is the posterior mean that completes masks.
+class Batch(Protocol):
+    """An interface: what a network is trained on.
+
+    Attributes:
+        clean: signals in -1..1, `[B, C, S, S]`.
+        conditions: what the network is told of them.
+        weight: of each pixel in the loss, `[B, 1, S, S]`.
+    """
+
+    @property
+    def clean(self) -> Tensor: ...
+
+    @property
+    def conditions(self) -> Any: ...
+
+    @property
+    def weight(self) -> Tensor: ...
+
+    def to(self, device: torch.device | str) -> Batch:
+        """Returns the batch on `device`."""
+        ...
+
+
+class PriorStage(Stage, Generic[Net]):
+    """Fits a network by v-prediction; keeps an exponential average of its weights, which is the result.
+
+    A share of the examples is trained at t = 1, where the prediction is the posterior mean.
 
     Args:
-        settings: size, steps and rates.
+        net: called as `net(noisy, t, conditions)`; returns v.
+        settings: steps and rates.
         seed: decides noise and times, step by step.
     """
 
     name = "prior"
 
-    def __init__(self, settings: PriorTrainingSettings, *, seed: int) -> None:
+    def __init__(self, net: Net, settings: PriorTrainingSettings, *, seed: int) -> None:
         super().__init__()
         self.settings = settings
         self.seed = seed
-        self.net = SilhouetteNet(tuple(settings.widths), settings.depth).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.averaged = copy.deepcopy(self.net).requires_grad_(False)
+        self.net: Net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.averaged: Net = copy.deepcopy(self.net).requires_grad_(False)
 
     def training_step(self, batch: Batch, _batch_idx: int) -> Tensor:
         """Returns the weighted squared error of v."""
@@ -56,7 +80,7 @@ class PriorStage(Stage):
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
         """Returns the batch on `device` (Lightning does not enter frozen records by itself)."""
-        return Batch(batch.clean.to(device), batch.conditions.to(device), batch.weight.to(device))
+        return batch.to(device)
 
     def on_train_start(self) -> None:
         """Starts the training clock."""
@@ -88,7 +112,7 @@ class PriorStage(Stage):
         for mean, now in zip(self.averaged.parameters(), self.net.parameters(), strict=True):
             mean.lerp_(now, 1.0 - keep)
 
-    def finished(self) -> SilhouetteNet:
+    def finished(self) -> Net:
         """Returns the averaged network with the last step in it."""
         self._average()
         return self.averaged.eval()

@@ -100,24 +100,61 @@ class SdsSettings:
 
 
 @dataclass
-class OptimSettings:
-    """The optimisation stage (paper §4.2)."""
+class AvatarSettings:
+    """What the stages that train an avatar have in common: schedules and rates.
+
+    Attributes:
+        steps: of the stage.
+        perceptual_every: steps from one perceptual term to the next, which then has that many times the weight.
+        perceptual_crop: side of its random crop, pixels.
+        sh_degree: highest band of spherical harmonics.
+        sh_every: steps from one band to the next, counted over all stages.
+        densify: whether Gaussians are added, joined and removed.
+        densification: thresholds and schedule, counted over all stages.
+        rates: Adam's.
+    """
 
     steps: int = 1200
+    perceptual_every: int = 8
+    perceptual_crop: int = 128
+    sh_degree: int = 1
+    sh_every: int = 1000
+    densify: bool = False
+    densification: Densification = field(default_factory=Densification)
+    rates: RateSettings = field(default_factory=RateSettings)
+
+
+@dataclass
+class OptimSettings(AvatarSettings):
+    """The optimisation stage (paper §4.2)."""
+
     pixels: str = "visible"
     lambda_rgb: float = 1e4
     lambda_mask: float = 2e4
     lambda_ssim: float = 1e3
     lambda_lpips: float = 1e3
-    perceptual_every: int = 8
-    perceptual_crop: int = 128
-    sh_degree: int = 1
-    sh_every: int = 1000
     sh_frame: str = "canonical"
     refine_pose: bool = True
     learn_skinning: bool = True
     skinning_every: int = 4
-    densify: bool = False
-    densification: Densification = field(default_factory=Densification)
-    rates: RateSettings = field(default_factory=RateSettings)
     sds: SdsSettings = field(default_factory=SdsSettings)
+
+
+@dataclass
+class RefineSettings(AvatarSettings):
+    """The refinement stage (paper §4.3).
+
+    Attributes:
+        source: of the references: `prior`; `coarse`: the coarse rendering itself, to see what inpainting adds;
+            `truth`: the data set's own complete pictures, an upper bound for synthetic scenes.
+    """
+
+    source: str = "prior"
+    steps: int = 1800
+    lambda_rgb: float = 1.0
+    lambda_mask: float = 0.1
+    lambda_gen: float = 0.1
+    lambda_lpips: float = 0.2
+    lambda_ssim: float = 0.0
+    sh_degree: int = 3
+    densify: bool = True

@@ -1,0 +1,89 @@
+"""What a video shows of each Gaussian: its observed colours, accumulated in canonical space over all frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from occfusion.geometry.neighbours import nearest
+from occfusion.human.avatar import Avatar
+from occfusion.splat import rasterize
+from occfusion.types import Frame
+
+ENOUGH = 4.0
+"""Pixels, summed over frames, from which on a Gaussian's own colour counts more than that of its neighbours."""
+NEIGHBOURS = 6
+MIRROR_DISTANCE = 0.03
+"""Metres that a neighbour on the other side of the body counts as farther away."""
+
+
+@dataclass(frozen=True)
+class Accumulated:
+    """The colours of Gaussians as observed.
+
+    Attributes:
+        colors: mean observed colour, `[N, 3]`, 0..1; where little was seen, that of what was seen nearby or at
+            the mirrored place of the body.
+        weights: visible pixels that each Gaussian made up, summed over all frames, `[N]`.
+    """
+
+    colors: Tensor
+    weights: Tensor
+
+    @property
+    def seen(self) -> Tensor:
+        """How well each Gaussian is known, `[N]`, 0 never seen .. 1 seen in many pixels."""
+        return self.weights / (self.weights + ENOUGH)
+
+
+def accumulate(avatar: Avatar, frames: Iterable[Frame], backend: str) -> Accumulated:
+    """Returns the colours that the visible pixels of `frames` show of the avatar's Gaussians.
+
+    A picture is linear in the colours of its Gaussians. The gradient of its sum over the visible pixels is
+    therefore each Gaussian's blending weight there, and that of its product with the observation the weighted
+    sum of what was observed.
+
+    Args:
+        avatar: posed for each frame; not changed.
+        frames: with their visible masks.
+        backend: rasteriser backend.
+    """
+    count = avatar.gaussians.num_gaussians
+    means = avatar.gaussians.means.detach()
+    weights, sums = means.new_zeros(count), means.new_zeros(count, 3)
+    for frame in frames:
+        with torch.no_grad():
+            cloud = avatar(frame.pose, frame.camera.centre)
+        colors = torch.zeros_like(cloud.colors).requires_grad_()
+        camera = frame.camera
+        rgb = rasterize(
+            cloud.means, None, None, cloud.opacities, colors, camera.viewmat, camera.K, camera.width,
+            camera.height, covariances=cloud.covariances, backend=backend,
+        ).rgb  # fmt: skip
+        shown = frame.visible_mask[..., None].to(rgb).expand_as(rgb)
+        (seen,) = torch.autograd.grad(rgb, colors, shown, retain_graph=True)
+        (observed,) = torch.autograd.grad(rgb, colors, shown * frame.rgb.to(rgb))
+        weights += seen[:, 0]
+        sums += observed
+    colors = sums / weights.clamp(min=1e-6)[:, None]
+    return Accumulated(_with_neighbours(colors, weights, means), weights)
+
+
+def _with_neighbours(colors: Tensor, weights: Tensor, means: Tensor) -> Tensor:
+    """Returns `colors` mixed with those of well-seen neighbours, the more so the less a Gaussian was seen itself."""
+    known = weights >= ENOUGH
+    if not bool(known.any()):
+        return torch.full_like(colors, 0.5)
+    mirrored = means[known] * means.new_tensor([-1.0, 1.0, 1.0])
+    count = min(NEIGHBOURS, int(known.sum()))
+    same, other = nearest(means, means[known], count), nearest(means, mirrored, count)
+    indices = torch.cat([same.indices, other.indices], dim=1)
+    distances = torch.cat([same.distances, other.distances + MIRROR_DISTANCE], dim=1)
+    # the scale is that of the nearest: far from all that was seen, the nearest still count most
+    near = (-distances / (distances.amin(dim=1, keepdim=True) + 0.005)).exp() * weights[known][indices].sqrt()
+    filled = (near[..., None] * colors[known][indices]).sum(dim=1) / near.sum(dim=1, keepdim=True)
+    share = (weights / (weights + ENOUGH))[:, None]
+    return share * colors + (1.0 - share) * filled

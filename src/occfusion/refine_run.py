@@ -1,0 +1,91 @@
+"""Runs the first half of the refinement stage: decides which frames are inpainted, inpaints them, hands them over."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from occfusion.config import Settings
+from occfusion.data.module import HumanDataModule
+from occfusion.errors import ConfigError
+from occfusion.human import Avatar
+from occfusion.inpaint.accumulation import accumulate
+from occfusion.inpaint.partial import Inpainter
+from occfusion.inpaint.registry import make_inpainter
+from occfusion.inpaint.sources import CoarsePictures, TruthPictures
+from occfusion.priors.moments import Moment
+from occfusion.stages.framewise import predict_frames
+from occfusion.stages.inpaint import InpaintStage
+from occfusion.stages.interruption import Interrupted
+from occfusion.stages.references import References
+from occfusion.types import Frame
+
+FOLDER = "inpainted"
+
+
+def make_references(
+    settings: Settings,
+    folder: Path,
+    data: HumanDataModule,
+    avatar: Avatar,
+    moments: Sequence[Moment],
+    identity: dict[str, str],
+    backend: str,
+    device: torch.device,
+) -> tuple[References, float]:
+    """Writes the references of a run into `inpainted/`; returns them and the seconds that it took.
+
+    Args:
+        settings: of the run.
+        folder: the run folder.
+        data: with the complete masks.
+        avatar: the coarse avatar.
+        moments: of all training frames.
+        identity: what the references depend on besides the inpainter: hashes of data and avatar.
+        backend: rasteriser backend.
+        device: where the inpainter runs.
+
+    Raises:
+        Interrupted: a signal stopped it; what is written stays.
+    """
+    started = time.monotonic()
+
+    def read(position: int) -> Frame:
+        return data.train_frame(position, truth=False, complete=True)
+
+    inpainter = _make_inpainter(settings, data, device)
+    stage = InpaintStage(inpainter, avatar.eval(), moments, folder / FOLDER, identity, backend)
+    wanted = stage.wanted
+    if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
+        wanted = [k for k in wanted if k == data.position_at(0)]
+    if wanted:
+        frames = (data.train_frame(k, truth=False) for k in range(len(moments)))
+        stage.accumulated = accumulate(avatar, frames, backend)
+        signal = predict_frames(stage, read, wanted, progress=settings.trainer.enable_progress_bar)
+        if signal is not None and stage.wanted:
+            raise Interrupted(signal, str(stage.folder))
+    seconds = time.monotonic() - started
+    print(f"refine: {len(wanted)} of {len(moments)} frames inpainted in {seconds:.1f} s")
+    return stage.references, seconds
+
+
+def file_digest(path: Path) -> str:
+    """Returns a short hash of a file's content."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def _make_inpainter(settings: Settings, data: HumanDataModule, device: torch.device) -> Inpainter:
+    if settings.refine.source == "prior":
+        return make_inpainter(settings.prior, device)
+    if settings.refine.source == "coarse":
+        return CoarsePictures()
+    if data.train_frame(0).truth is None:
+        raise ConfigError(
+            "refine.source=truth: this data set does not know what is hidden; use refine.source=prior"
+        )
+    known = ((frame.name, frame.truth) for frame in data.train_frames())
+    return TruthPictures({name: truth.rgb.numpy() for name, truth in known if truth is not None})

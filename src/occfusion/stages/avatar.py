@@ -1,0 +1,184 @@
+"""What the stages that train an avatar share: the rendered crop, optimiser, schedules, densification, guards."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from occfusion.geometry.boxes import person_box
+from occfusion.human.avatar import Avatar
+from occfusion.human.densify import Densifier
+from occfusion.human.gaussians import means_rate
+from occfusion.perceptual import PerceptualMetric, random_crop_box
+from occfusion.splat import rasterize
+from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
+from occfusion.stages.settings import AvatarSettings
+from occfusion.types import Box, Camera, Frame, Rendering
+
+BOX_PADDING = 8
+"""Pixels added around the person's box: the widest usual splat at its rim."""
+VERTEX_REFRESH = 100
+"""Steps between looking up each Gaussian's nearest body vertex anew."""
+ADAM_EPS = 1e-15
+"""As 3DGS: gradients of the mean over many pixels are tiny, and a larger floor would slow them down."""
+
+
+class AvatarStage(Stage):
+    """An interface: a stage that trains an avatar; a stage of its own gives the loss terms and their weights.
+
+    Args:
+        avatar: the avatar to train, in place.
+        settings: schedules and rates.
+        perceptual: the perceptual metric; None exactly when its term has no weight.
+        densifier: densification; None exactly when `settings.densify` is false.
+        backend: rasteriser backend.
+        seed: decides the perceptual crops, step by step.
+        steps_before: of earlier stages: rates, SH bands and densification follow the count of all steps.
+    """
+
+    def __init__(
+        self,
+        avatar: Avatar,
+        settings: AvatarSettings,
+        *,
+        perceptual: PerceptualMetric | None,
+        densifier: Densifier | None,
+        backend: str,
+        seed: int,
+        steps_before: int = 0,
+    ) -> None:
+        super().__init__()
+        self.avatar = avatar
+        self._schedule = settings
+        # wrapped in a tuple so that the frozen network is not part of this module's state
+        self._perceptual = (perceptual,)
+        self.densifier = densifier
+        self.backend = backend
+        self.seed = seed
+        self.steps_before = steps_before
+        self._frame_name = ""
+        self._screen_offsets: Tensor | None = None
+        self._radii: Tensor | None = None
+        self._camera: Camera | None = None
+
+    @abstractmethod
+    def terms(self, frame: Frame, rendering: Rendering, box: Box) -> Mapping[str, Tensor]:
+        """Returns the loss terms of this step, unweighted; those of weight zero are not built.
+
+        Args:
+            frame: of this step.
+            rendering: the avatar in its pose, inside `box`.
+            box: the rendered window.
+        """
+
+    @abstractmethod
+    def weight(self, name: str) -> float:
+        """Returns the weight of a term."""
+
+    @property
+    def num_gaussians(self) -> int:
+        """Gaussians at present."""
+        return self.avatar.gaussians.num_gaussians
+
+    def progress_note(self) -> str:
+        """Returns the number of Gaussians."""
+        return f"{self.num_gaussians / 1000:.1f}k gaussians"
+
+    # -- one step ---------------------------------------------------------------------------------------------
+
+    def training_step(self, frame: Frame, _batch_idx: int) -> Tensor:
+        """Returns the weighted sum of the loss terms for one frame."""
+        self._frame_name = frame.name
+        rendering, box = self._render_crop(frame)
+        terms = self.terms(frame, rendering, box)
+        self.keep_terms(terms)
+        check_finite_terms(terms, self.name, self.global_step, frame.name)
+        return sum((self.weight(name) * value for name, value in terms.items()), start=torch.zeros(()))
+
+    def _render_crop(self, frame: Frame) -> tuple[Rendering, Box]:
+        camera = frame.camera
+        cloud = self.avatar(frame.pose, camera.centre)
+        shown = frame.visible_mask if frame.complete_mask is None else frame.complete_mask
+        box = person_box(cloud.means.detach(), shown, camera, BOX_PADDING)
+        if self.densifier is not None:
+            self._screen_offsets = torch.zeros_like(cloud.means[:, :2], requires_grad=True)
+        rendering = rasterize(
+            cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,
+            camera.width, camera.height, covariances=cloud.covariances, backend=self.backend,
+            crop=box, screen_offsets=self._screen_offsets,
+        )  # fmt: skip
+        self._radii, self._camera = rendering.radii, camera
+        return rendering, box
+
+    def perceptual_due(self) -> PerceptualMetric | None:
+        """Returns the perceptual metric at the steps that have its term."""
+        perceptual = self._perceptual[0]
+        return None if self.global_step % self._schedule.perceptual_every else perceptual
+
+    def perceptual_box(self, mask: Tensor) -> Box:
+        """Returns this step's random crop about a mask, in the coordinates of the mask."""
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
+        return random_crop_box(mask, self._schedule.perceptual_crop, generator)
+
+    # -- optimiser, schedules, densification ------------------------------------------------------------------
+
+    def configure_optimizers(self) -> torch.optim.Adam:
+        """Returns Adam with one named group for each kind of parameter, its moments fresh.
+
+        Fresh also where a stage takes an avatar over: the moments of a loss of another scale would stall it.
+        """
+        groups = self.avatar.parameter_groups(vars(self._schedule.rates))
+        return torch.optim.Adam(groups, eps=ADAM_EPS, fused=False)
+
+    def on_train_start(self) -> None:
+        """Starts the training clock."""
+        self.clock.start()
+
+    def on_train_end(self) -> None:
+        """Stops the training clock."""
+        self.clock.stop()
+
+    def on_train_batch_start(self, _batch: Any, _batch_idx: int) -> None:
+        """Densifies when it is time, then sets what follows the step: rates, SH bands, the skinning network's turn.
+
+        Densification belongs to the start of a step: a checkpoint is written at the end of one, before any hook of
+        this module could run, and a resumed run must not miss a round.
+        """
+        step, settings = self.steps_before + self.global_step, self._schedule
+        if self.densifier is not None:
+            self.densifier.step(step, self.avatar, self._adam(), seed=self.seed)
+        if step % VERTEX_REFRESH == 0 and step > 0:
+            self.avatar.refresh_vertex_index()
+        degree = min(settings.sh_degree, step // settings.sh_every)
+        self.avatar.active_sh_degree = max(self.avatar.active_sh_degree, degree)
+        self.avatar.prepare(step)
+        for group in self._adam().param_groups:
+            if group["name"] == "means":
+                group["lr"] = means_rate(step, settings.rates.means, settings.rates.means_final)
+
+    def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
+        """Checks the gradients and collects what densification needs of them."""
+        check_finite_gradients(optimizer.param_groups, self.name, self.global_step, self._frame_name)
+        if self.densifier is not None and self._screen_offsets is not None:
+            gradient = self._screen_offsets.grad
+            assert gradient is not None and self._radii is not None and self._camera is not None
+            self.densifier.observe(gradient, self._radii, self._camera)
+
+    def _adam(self) -> torch.optim.Adam:
+        optimizer = self.optimizers(use_pl_optimizer=False)
+        assert isinstance(optimizer, torch.optim.Adam)
+        return optimizer
+
+    # -- resuming ---------------------------------------------------------------------------------------------
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Adds the training seconds."""
+        checkpoint["train_seconds"] = self.clock.seconds
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Takes the training seconds of the earlier run over."""
+        self.clock.restore(checkpoint["train_seconds"])

@@ -1,0 +1,119 @@
+"""The first half of the refinement stage: each occluded frame is inpainted once (paper §4.3)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from occfusion.files.atomic import write_json, write_png
+from occfusion.human.avatar import Avatar
+from occfusion.inpaint.accumulation import Accumulated
+from occfusion.inpaint.partial import Inpainter, checked_picture, take_partial
+from occfusion.priors.moments import Moment
+from occfusion.stages.base import Stage
+from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
+from occfusion.types import Frame
+
+MANIFEST = "manifest.json"
+
+
+class InpaintStage(Stage):
+    """Inpaints the frames whose person is occluded, and writes them; run by `Trainer.predict`.
+
+    Frames of a whole person are not touched. What is written already by the same inpainter for the same coarse
+    avatar on the same data is not computed again.
+
+    Args:
+        inpainter: paints what is hidden.
+        avatar: the coarse avatar.
+        moments: of all training frames, in order.
+        folder: where pictures, regions and the manifest go.
+        identity: what the pictures depend on besides the inpainter: hashes of data and avatar.
+        backend: rasteriser backend.
+
+    Attributes:
+        accumulated: what the video shows of the avatar; needed as soon as a frame is inpainted.
+    """
+
+    name = "inpaint"
+
+    def __init__(
+        self,
+        inpainter: Inpainter,
+        avatar: Avatar,
+        moments: Sequence[Moment],
+        folder: Path,
+        identity: dict[str, Any],
+        backend: str,
+    ) -> None:
+        super().__init__()
+        # wrapped in tuples so that neither is part of this module's state
+        self._inpainter, self._avatar = (inpainter,), (avatar,)
+        self.moments = moments
+        self.folder = folder
+        self.identity = {**identity, **inpainter.describe()}
+        self.backend = backend
+        self.records = self._earlier()
+        self._positions = {moment.frame: k for k, moment in enumerate(moments)}
+        self.accumulated: Accumulated | None = None
+
+    @property
+    def wanted(self) -> list[int]:
+        """Positions of the occluded frames that are not written yet."""
+        occluded = (k for k, moment in enumerate(self.moments) if moment.evidence.occluded)
+        return [k for k in occluded if f"{self.moments[k].frame:06d}" not in self.records]
+
+    @property
+    def references(self) -> References:
+        """What is written, for the refinement."""
+        painted = {int(name) for name, record in self.records.items() if record["region_pixels"]}
+        return References(self.folder, frozenset(painted))
+
+    def _earlier(self) -> dict[str, dict[str, Any]]:
+        """Returns the records of an earlier call that still hold."""
+        path = self.folder / MANIFEST
+        if not path.is_file():
+            return {}
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["identity"] != json.loads(json.dumps(self.identity)):
+            return {}
+        return {name: r for name, r in content["frames"].items() if (self.folder / f"{name}.png").is_file()}
+
+    def transfer_batch_to_device(self, batch: Frame, device: torch.device, dataloader_idx: int) -> Frame:
+        """Returns the frame where it is: an inpainter moves what it needs."""
+        return batch
+
+    @torch.no_grad()
+    def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
+        """Inpaints and writes one frame; returns its record."""
+        avatar, moment = self._avatar[0], self.moments[self._positions[frame.index]]
+        assert self.accumulated is not None  # set by whoever starts the stage, once it is known to be needed
+        observation = moment.observation(frame, avatar.body)
+        partial = take_partial(avatar, self.accumulated, frame, observation, self.backend)
+        picture, region = checked_picture(self._inpainter[0], partial), partial.region
+        (self.folder / REGIONS).mkdir(parents=True, exist_ok=True)
+        write_png(region_path_of(self.folder, frame.index), np.where(region, 255, 0).astype(np.uint8))
+        write_png(picture_path(self.folder, frame.index), np.round(255.0 * picture).astype(np.uint8))
+        record = {
+            "region_pixels": int(region.sum()),
+            "moved": round(float(np.abs(picture - partial.coarse)[region].mean()), 4)
+            if region.any()
+            else 0.0,
+        }
+        self.records[f"{frame.index:06d}"] = record
+        return record
+
+    def on_predict_batch_end(self, *_: Any) -> None:
+        """Writes the manifest after each frame, so that a stopped run continues behind it."""
+        self.write_manifest()
+
+    def write_manifest(self) -> None:
+        """Writes what was done, with what."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        content = {"identity": self.identity, "frames": dict(sorted(self.records.items()))}
+        write_json(self.folder / MANIFEST, content)

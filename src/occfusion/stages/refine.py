@@ -1,0 +1,79 @@
+"""The refinement stage: fine-tuning on what is seen and on what was inpainted once (paper §4.3)."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from occfusion import losses
+from occfusion.geometry.boxes import crop
+from occfusion.human.avatar import Avatar
+from occfusion.human.densify import Densifier
+from occfusion.perceptual import PerceptualMetric
+from occfusion.stages.avatar import AvatarStage
+from occfusion.stages.references import References
+from occfusion.stages.settings import RefineSettings
+from occfusion.stages.targets import crop_frame
+from occfusion.types import Box, Frame, Rendering
+
+
+class RefineStage(AvatarStage):
+    """Fine-tunes the coarse avatar: L1 where the person is seen, and towards the references where it is not.
+
+    Args:
+        avatar: the avatar of the optimisation stage, trained on in place.
+        settings: weights, schedules and rates.
+        references: the inpainted frames; a frame without one shows the whole person.
+        perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
+        densifier: densification; None exactly when `settings.densify` is false.
+        backend: rasteriser backend.
+        seed: decides the perceptual crops, step by step.
+        steps_before: of the optimisation stage.
+    """
+
+    name = "refine"
+
+    def __init__(
+        self,
+        avatar: Avatar,
+        settings: RefineSettings,
+        references: References,
+        *,
+        perceptual: PerceptualMetric | None,
+        densifier: Densifier | None,
+        backend: str,
+        seed: int,
+        steps_before: int,
+    ) -> None:
+        super().__init__(
+            avatar, settings, perceptual=perceptual, densifier=densifier, backend=backend, seed=seed,
+            steps_before=steps_before,
+        )  # fmt: skip
+        self.settings = settings
+        self.references = references
+
+    def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
+        """Returns the terms of paper §4.3: L1 on M, L2 of the occupancy, L1 on R, and the perceptual one."""
+        settings, target = self.settings, crop_frame(frame, box)
+        reference = self.references.get(frame, box)
+        wanted = target.rgb if reference is None else reference.rgb
+        known = target.visible_mask if reference is None else target.visible_mask | reference.region
+        rgb = rendering.rgb
+        terms: dict[str, Tensor] = {}
+        if settings.lambda_rgb:
+            terms["rgb"] = losses.l1(rgb, target.rgb, target.visible_mask)
+        if settings.lambda_mask:
+            terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rgb.dtype))
+        if settings.lambda_gen and reference is not None:
+            terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)
+        shown = rgb * known[..., None]  # what is neither seen nor painted is black in both pictures
+        if settings.lambda_ssim:
+            terms["ssim"] = losses.ssim_loss(shown, wanted, known)
+        if (perceptual := self.perceptual_due()) is not None:
+            window = self.perceptual_box(known)
+            terms["lpips"] = perceptual(crop(shown, window), crop(wanted, window))
+        return terms
+
+    def weight(self, name: str) -> float:
+        """Returns the weight of a term; every k-th step at k times the weight leaves the expected gradient as it is."""
+        weight: float = getattr(self.settings, f"lambda_{name}")
+        return weight * self.settings.perceptual_every if name == "lpips" else weight
