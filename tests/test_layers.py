@@ -17,6 +17,7 @@ LAYERS = [
     {"human", "perceptual"},
     {"synth", "data"},
     {"priors"},
+    {"inpaint"},
     {"render", "evaluate"},
     {"stages"},
     {
@@ -33,6 +34,8 @@ LAYERS = [
         "evaluation_tables",
         "init_run",
         "prior_run",
+        "recipes",
+        "refine_run",
         "report",
         "compare",
         "bench",
@@ -45,7 +48,7 @@ LEVEL = {part: level for level, parts in enumerate(LAYERS) for part in parts}
 
 # heavy or optional libraries, and the only parts that may import them when they are themselves imported
 AT_TOP_LEVEL_ONLY_IN = {
-    "lightning": {"data/module.py", "stages", "app.py", "init_run.py", "prior_run.py", "cli"},
+    "lightning": {"data/module.py", "stages", "app.py", "prior_run.py", "cli"},
     "hydra": {"cli", "app.py", "compose.py"},
     "diffusers": set(),
     "transformers": set(),
@@ -70,7 +73,7 @@ ANYWHERE_ONLY_IN = {
         "runfolder.py",
         "compare/reading.py",
     },
-    "lightning": {"data/module.py", "stages", "app.py", "init_run.py", "prior_run.py", "cli", "config.py"},
+    "lightning": {"data/module.py", "stages", "app.py", "prior_run.py", "cli", "config.py"},
     "stlpips_pytorch": set(),
     "torchvision": set(),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 
 from occfusion import plan as planning
 from occfusion.compose import make_body, make_data
-from occfusion.config import PRIOR_STAGE, Settings, load_settings, stages_to_run
+from occfusion.config import PRIOR_STAGE, Named, Settings, VariantSettings, load_settings, stages_to_run
 from occfusion.data.handful import held_out_handful
 from occfusion.data.module import HumanDataModule
 from occfusion.evaluation_run import evaluate_run, evaluation_metric
@@ -26,6 +26,7 @@ from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.prior_run import run_prior_training
 from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior, make_score_prior
+from occfusion.recipes.appearance import Coarse, CoarseScene
 from occfusion.refine_run import file_digest, make_references
 from occfusion.render import render_frame
 from occfusion.report import write_report
@@ -39,7 +40,7 @@ from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.optim import OptimStage
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.refine import RefineStage
-from occfusion.stages.settings import AvatarSettings
+from occfusion.stages.settings import AvatarSettings, SdsSettings
 from occfusion.tables import print_summary
 from occfusion.types import Frame, Rendering
 
@@ -56,6 +57,7 @@ class Run:
     backend: str
     moments: list[Moment] | None
     data_hash: str
+    stages: list[str]
 
     def render(self, frame: Frame) -> Rendering:
         """Returns the avatar as the frame's camera sees it."""
@@ -80,14 +82,18 @@ def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[P
     settings = load_settings(config)
     L.seed_everything(settings.seed, verbose=False)
     if settings.stage.name == PRIOR_STAGE:
-        done = run_prior_training(settings, folder_chosen_by_user=folder_chosen_by_user)
+
+        def train(scene: CoarseScene, folder: Path) -> Coarse:
+            return _train_coarse(settings, scene, folder)
+
+        done = run_prior_training(settings, train, folder_chosen_by_user=folder_chosen_by_user)
         return Path(settings.output_dir), done
     run_ = _compose(settings, folder_chosen_by_user)
     if (finished := finished_in(run_.folder, settings, run_.data_hash)) is not None:
         record_finished(run_.folder, settings, run_.data_hash)  # where the files lie now
         print_summary(run_.folder, finished.metrics)
         return run_.folder, finished.metrics
-    for stage in stages_to_run(settings):
+    for stage in run_.stages:
         if stage == "init":
             _complete_masks(run_)
         else:
@@ -116,8 +122,16 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
     folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
     moments = look_at_training_frames(data, body) if is_prior_asked else None
+    if moments is not None and settings.plan == "full":
+        moments = planning.with_everything(moments)
     decisions = planning.make_plan(settings, summary, backend, moments)
     write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
+    stages = [
+        stage for stage in stages_to_run(settings) if f"stage {stage}" not in planning.left_out(decisions)
+    ]
+    for stage in stages_to_run(settings):
+        if stage not in stages:
+            print(f"{stage}: left out, no frame is occluded")
     perceptual = None
     is_perceptual = settings.optim.lambda_lpips or (
         "refine" in stages_to_run(settings) and settings.refine.lambda_lpips
@@ -133,7 +147,7 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
         skinning_every=optim.skinning_every,
         sh_frame=optim.sh_frame,
     )
-    return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"])
+    return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"], stages)
 
 
 def _device(settings: Settings) -> torch.device:
@@ -143,11 +157,8 @@ def _device(settings: Settings) -> torch.device:
 
 
 def _complete_masks(run_: Run) -> None:
-    """Runs the initialisation stage, unless every frame shows a whole person."""
+    """Runs the initialisation stage."""
     assert run_.moments is not None
-    if not any(moment.evidence.occluded for moment in run_.moments):
-        print("init: no frame is occluded; masks are taken as they are")
-        return
     run_init(
         run_.settings,
         run_.folder,
@@ -221,6 +232,32 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
         steps_before=planning.steps_of(settings, settings.optim),
     )
     return stage, seconds
+
+
+def _train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse:
+    """Trains the coarse avatar of a scene of the inpainter's corpus, or takes up one trained before."""
+    occlusion = {**settings.dataset.get("occlusion", {}), "kind": scene.occlusion, "share": scene.share}
+    dataset = {**settings.dataset, "scene": scene.scene, "cameras": 2, "occlusion": occlusion}
+    own = replace(
+        settings,
+        stage=Named("optim"),
+        variant=VariantSettings("B", ["init", "optim"]),
+        dataset=dataset,
+        optim=replace(settings.optim, sds=SdsSettings()),
+        evaluation=replace(settings.evaluation, curve=False, perceptual=False),
+        seed=scene.seed,
+        output_dir=str(folder),
+    )
+    run_ = _compose(own, folder_chosen_by_user=True)
+    assert run_.moments is not None
+    for stage in run_.stages:
+        if stage == "init":
+            _complete_masks(run_)
+        else:
+            _run_stage(run_, stage)
+    positions = range(len(run_.data.train_indices))
+    frames = [run_.data.train_frame(k, complete="init" in run_.stages) for k in positions]
+    return Coarse(run_.avatar.eval(), frames, run_.moments, run_.backend)
 
 
 def _make_densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | None:

@@ -114,6 +114,7 @@ class Settings:
     prior_training: PriorTrainingSettings = field(default_factory=PriorTrainingSettings)
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
+    plan: str = "needed"
     seed: int = 0
     output_dir: str = ""
     shared_dir: str | None = None
@@ -190,6 +191,7 @@ def _check_choices(settings: Settings) -> None:
             )
     _check_in("prior.name", str(settings.prior.get("name")), PRIORS)
     _check_in("init.source", settings.init.source, ("prior", "truth"))
+    _check_in("plan", settings.plan, ("needed", "full"))
     _check_in("refine.source", settings.refine.source, ("prior", "coarse", "truth"))
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from occfusion.config import STAGES, Settings, stages_to_run
 from occfusion.priors.evidence import HIDDEN_SHARE
 from occfusion.priors.moments import Moment
 from occfusion.stages.settings import AvatarSettings
+
+HIDDEN_STAGES = ("init", "refine")
+"""Stages that are about what is hidden: left out where nothing is."""
 
 
 @dataclass(frozen=True)
@@ -39,31 +42,29 @@ def make_plan(
         moments: what masks and poses say of the training frames; None where no masks are completed.
     """
     optim = settings.optim
-    steps = optim.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
-    plan = [_stage_decision(stage, settings) for stage in STAGES]
+    plan = stage_decisions(settings, moments)
     plan.append(_mask_decision(settings, moments))
+    plan.append(_inpainting_decision(settings, moments))
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
-    for name in ("rgb", "mask", "ssim", "lpips"):
-        weight = getattr(optim, f"lambda_{name}")
-        plan.append(Decision(f"loss term {name}", weight > 0, f"optim.lambda_{name} = {weight:g}"))
-    if optim.lambda_lpips:
-        every, crop = optim.perceptual_every, optim.perceptual_crop
-        plan.append(
-            Decision("perceptual term at every step and on the whole person", every == 1 and crop >= 2048,
-                     f"every {every} steps on a random crop of {crop} px: it costs more than all else together")
-        )  # fmt: skip
+    plan += _term_decisions("optim", optim, ("rgb", "mask", "ssim", "lpips"))
     plan += sds_decisions(settings, moments)
-    highest = reached_sh_degree(settings)
+    is_refined = any(decision.used and decision.part == "stage refine" for decision in plan)
+    highest = refined_sh_degree(settings) if is_refined else reached_sh_degree(settings)
     plan.append(
         Decision("spherical harmonics above the active degree", False,
-                 f"degree {highest} is the highest reached in {steps} steps; higher bands are not allocated")
+                 f"degree {highest} is the highest reached in the run's steps; higher bands are not allocated")
     )  # fmt: skip
     plan.append(Decision("pose refinement", optim.refine_pose, f"optim.refine_pose = {optim.refine_pose}"))
     plan.append(
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}")
     )
     plan.append(Decision("densification", optim.densify, f"optim.densify = {optim.densify}"))
+    if is_refined:
+        refine = settings.refine
+        plan += _term_decisions("refine", refine, ("rgb", "mask", "gen", "ssim", "lpips"))
+        reason = f"refine.densify = {refine.densify}"
+        plan.append(Decision("densification in the refinement", refine.densify, reason))
     plan.append(
         Decision("pixels outside the person's padded box", False, "rendered crops hold every Gaussian")
     )
@@ -112,17 +113,59 @@ def plan_json(plan: list[Decision]) -> dict[str, Any]:
     return {"decisions": [asdict(decision) for decision in plan]}
 
 
+def stage_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
+    """Returns the decisions on the stages, in order."""
+    decisions = []
+    for stage in STAGES:
+        part, variant = f"stage {stage}", settings.variant.name
+        if stage not in settings.variant.stages:
+            decisions.append(Decision(part, False, f"variant {variant} does not need it"))
+        elif stage not in stages_to_run(settings):
+            decisions.append(Decision(part, False, f"stage={settings.stage.name} asks for another"))
+        elif stage in HIDDEN_STAGES and moments is not None and not _occluded(moments):
+            decisions.append(Decision(part, False, _hidden_reason(moments)))
+        else:
+            decisions.append(Decision(part, True, f"variant {variant} needs it"))
+    return decisions
+
+
+def with_everything(moments: Sequence[Moment]) -> list[Moment]:
+    """Returns the moments with each frame counted as occluded, for `plan=full`."""
+    return [replace(moment, evidence=replace(moment.evidence, occluded=True)) for moment in moments]
+
+
+def _occluded(moments: Sequence[Moment]) -> int:
+    return sum(moment.evidence.occluded for moment in moments)
+
+
+def _hidden_reason(moments: Sequence[Moment]) -> str:
+    return f"{_occluded(moments)} of {len(moments)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
+
+
 def _mask_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
-    if moments is None:
+    if moments is None or "init" not in settings.variant.stages:
         return Decision("complete masks", False, f"variant {settings.variant.name} trains on visible masks")
-    occluded = sum(moment.evidence.occluded for moment in moments)
-    reason = f"{occluded} of {len(moments)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
-    return Decision("complete masks", occluded > 0, reason)
+    return Decision("complete masks", _occluded(moments) > 0, _hidden_reason(moments))
 
 
-def _stage_decision(stage: str, settings: Settings) -> Decision:
-    if stage not in settings.variant.stages:
-        return Decision(f"stage {stage}", False, f"variant {settings.variant.name} does not need it")
-    if stage not in stages_to_run(settings):
-        return Decision(f"stage {stage}", False, f"stage={settings.stage.name} asks for another")
-    return Decision(f"stage {stage}", True, f"variant {settings.variant.name} needs it")
+def _inpainting_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+    if moments is None or "refine" not in settings.variant.stages:
+        return Decision("inpainting", False, f"variant {settings.variant.name} does not need it")
+    reason = f"{_hidden_reason(moments)}; the others are not inpainted"
+    return Decision("inpainting", _occluded(moments) > 0, reason)
+
+
+def _term_decisions(stage: str, settings: AvatarSettings, terms: tuple[str, ...]) -> list[Decision]:
+    """Returns the decisions on a stage's loss terms; those of `optim` go by their names alone."""
+    where = "" if stage == "optim" else f" in {stage}"
+    plan = []
+    for name in terms:
+        weight = getattr(settings, f"lambda_{name}")
+        plan.append(Decision(f"loss term {name}{where}", weight > 0, f"{stage}.lambda_{name} = {weight:g}"))
+        if name == "lpips" and weight:
+            every, crop = settings.perceptual_every, settings.perceptual_crop
+            plan.append(
+                Decision(f"perceptual term at every step and on the whole person{where}", every == 1 and crop >= 2048,
+                         f"every {every} steps on a random crop of {crop} px: it costs more than all else together")
+            )  # fmt: skip
+    return plan

@@ -30,7 +30,8 @@ def train(scene_root: Path, tmp_path: Path) -> Callable[..., tuple[Path, dict[st
         fixed = [
             "variant=A", "dataset=zju", f"dataset.root={scene_root}", f"dataset.scene={SCENE}",
             f"body.path={scene_root / SCENE / 'body.npz'}", f"output_dir={tmp_path / folder}",
-            "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "evaluation.perceptual=false",
+            "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "refine.lambda_lpips=0",
+            "evaluation.perceptual=false",
             "evaluation.curve_images=1", "evaluation.training_stride=9", "dataset.test_frames=[0,10,9]",
         ]  # fmt: skip
         with initialize_config_dir(str(CONF), version_base="1.3"):

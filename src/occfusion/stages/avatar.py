@@ -97,7 +97,9 @@ class AvatarStage(Stage):
         terms = self.terms(frame, rendering, box)
         self.keep_terms(terms)
         check_finite_terms(terms, self.name, self.global_step, frame.name)
-        return sum((self.weight(name) * value for name, value in terms.items()), start=torch.zeros(()))
+        # a frame may have no term at all, of which backward could not be called
+        nothing = 0.0 * rendering.alpha.sum()
+        return sum((self.weight(name) * value for name, value in terms.items()), start=nothing)
 
     def _render_crop(self, frame: Frame) -> tuple[Rendering, Box]:
         camera = frame.camera

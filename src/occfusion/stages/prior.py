@@ -17,22 +17,22 @@ Net = TypeVar("Net", bound=nn.Module)
 
 
 class Batch(Protocol):
-    """An interface: what a network is trained on.
-
-    Attributes:
-        clean: signals in -1..1, `[B, C, S, S]`.
-        conditions: what the network is told of them.
-        weight: of each pixel in the loss, `[B, 1, S, S]`.
-    """
+    """An interface: what a network is trained on."""
 
     @property
-    def clean(self) -> Tensor: ...
+    def clean(self) -> Tensor:
+        """Signals in -1..1, `[B, C, S, S]`."""
+        ...
 
     @property
-    def conditions(self) -> Any: ...
+    def conditions(self) -> Any:
+        """What the network is told of them."""
+        ...
 
     @property
-    def weight(self) -> Tensor: ...
+    def weight(self) -> Tensor:
+        """Of each pixel in the loss, `[B, 1, S, S]`."""
+        ...
 
     def to(self, device: torch.device | str) -> Batch:
         """Returns the batch on `device`."""

@@ -41,7 +41,24 @@ class InitSettings:
 
 @dataclass
 class PriorTrainingSettings:
-    """Training of an embedded prior (`stage=prior`)."""
+    """Training of an embedded prior (`stage=prior`).
+
+    Attributes:
+        network: `silhouette` or `appearance`.
+        widths: channels of the network at each level.
+        depth: its residual blocks below the first level.
+        steps: of the training.
+        batch: examples a step.
+        rate: greatest learning rate.
+        warmup: steps in which it is reached.
+        at_end: share of the examples at t = 1, where the prediction is the posterior mean.
+        averaging: of the weights.
+        examples: silhouettes of the silhouette network's corpus.
+        subjects: scenes of the appearance network's corpus.
+        validation: silhouettes that are measured on.
+        validation_first_second: when it is measured first.
+        corpus: its folder; null: in the run folder.
+    """
 
     network: str = "silhouette"
     widths: list[int] = field(default_factory=lambda: [48, 96, 160])
@@ -53,6 +70,7 @@ class PriorTrainingSettings:
     at_end: float = 0.4
     averaging: float = 0.998
     examples: int = 20_000
+    subjects: int = 14
     validation: int = 96
     validation_first_second: float = 60.0
     corpus: str | None = None

@@ -1,0 +1,1 @@
+"""How the embedded priors are trained: what each learns from, and how it is measured (`stage=prior`)."""

@@ -1,0 +1,45 @@
+"""What a recipe for an embedded prior gives the training."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Generic, TypeVar
+
+import torch
+from torch import nn
+
+from occfusion.stages.prior import Batch
+
+Net = TypeVar("Net", bound=nn.Module)
+
+
+class Recipe(ABC, Generic[Net]):
+    """An interface: data, network and figures of one embedded prior.
+
+    Attributes:
+        kind: of network, as its weights name it.
+        size: pixels a side of the crop.
+        data: what it learns from, for the card.
+        columns: names of its figures.
+    """
+
+    kind: str
+    size: int
+    data: str
+    columns: tuple[str, ...]
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Makes the corpus, unless it is there."""
+
+    @abstractmethod
+    def make_net(self) -> Net:
+        """Returns the network, untrained."""
+
+    @abstractmethod
+    def batch(self, step: int) -> Batch:
+        """Returns the batch of a training step: a function of the step and the seed alone."""
+
+    @abstractmethod
+    def measure(self, net: Net, device: torch.device) -> dict[str, float]:
+        """Returns the figures of a network on data that it is not trained on."""

@@ -1,0 +1,193 @@
+"""The refinement stage in whole runs: references, hand-over, resuming, and what an unoccluded scene is spared."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from occfusion.errors import DataError
+from occfusion.files.images import read_mask, read_rgb
+from occfusion.inpaint.partial import Inpainter, Partial, Picture
+from occfusion.stages.interruption import Interrupted, SignalGuard
+
+Train = Callable[..., tuple[Path, dict[str, Any]]]
+SHORT = (
+    "variant=E", "optim.sds.lambda_pose=0", "optim.sds.lambda_can=0", "optim.steps=4", "refine.steps=5",
+    "refine.lambda_lpips=0", "refine.source=coarse",
+)  # fmt: skip
+
+
+class Green(Inpainter):
+    """Paints everything green, and counts how often it was asked."""
+
+    name = "green"
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def describe(self) -> dict[str, Any]:
+        return {"inpainter": self.name}
+
+    def inpaint(self, partial: Partial) -> Picture:
+        self.asked += 1
+        return np.zeros_like(partial.coarse) + np.float32([0.0, 1.0, 0.0])
+
+
+@pytest.fixture
+def green(monkeypatch: pytest.MonkeyPatch) -> Green:
+    made = Green()
+    monkeypatch.setattr("occfusion.refine_run.make_inpainter", lambda *_: made)
+    return made
+
+
+def parameters(folder: Path, stage: str = "refine") -> dict[str, torch.Tensor]:
+    return load_file(folder / stage / "avatar.safetensors")
+
+
+def decisions(folder: Path) -> dict[str, dict[str, Any]]:
+    return {d["part"]: d for d in json.loads((folder / "plan.json").read_text())["decisions"]}
+
+
+def test_a_run_leaves_references_and_a_refined_avatar(train: Train, green: Green) -> None:
+    folder, metrics = train(*SHORT, "refine.source=prior")
+    plan = json.loads((folder / "plan.json").read_text())
+    manifest = json.loads((folder / "inpainted" / "manifest.json").read_text())
+    assert 0 < green.asked == len(manifest["frames"]) < plan["scene"]["frames"], (
+        "whole frames are not inpainted"
+    )
+    assert manifest["identity"]["inpainter"] == "green"
+    for name, record in manifest["frames"].items():
+        picture = read_rgb(folder / "inpainted" / f"{name}.png")
+        region = read_mask(folder / "inpainted" / "regions" / f"{name}.png")
+        assert region.sum() == record["region_pixels"]
+        assert (picture[region] == (0, 255, 0)).all()
+    assert not torch.equal(parameters(folder)["gaussians.sh0"], parameters(folder, "optim")["gaussians.sh0"])
+    assert metrics["train_seconds"]["refine"] > 0
+    assert decisions(folder)["loss term gen in refine"]["used"]
+    assert not decisions(folder)["loss term lpips in refine"]["used"]
+
+
+def test_references_are_made_once(train: Train, green: Green) -> None:
+    folder, _ = train(*SHORT, "refine.source=prior")
+    asked = green.asked
+    (folder / "refine" / "stage.json").unlink()
+    (folder / "finished.json").unlink()
+    train(*SHORT, "refine.source=prior")
+    assert green.asked == asked
+
+
+def test_a_stopped_inpainting_continues_behind_the_last_frame(
+    train: Train, green: Green, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = Green.inpaint
+    guards: list[SignalGuard] = []
+    enter = SignalGuard.__enter__
+    monkeypatch.setattr(SignalGuard, "__enter__", lambda self: (guards.append(self), enter(self))[1])
+
+    def stops_after_two(self: Green, partial: Partial) -> Picture:
+        if self.asked == 1:
+            guards[-1].received = 15
+        return original(self, partial)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Green, "inpaint", stops_after_two)
+        with pytest.raises(Interrupted, match="inpainted"):
+            train(*SHORT, "refine.source=prior")
+    assert green.asked in (2, 3)  # one frame is read ahead
+    folder, _ = train(*SHORT, "refine.source=prior")
+    manifest = json.loads((folder / "inpainted" / "manifest.json").read_text())
+    assert green.asked == len(manifest["frames"])
+
+
+def test_stopped_and_resumed_refinement_equals_an_uninterrupted_one(
+    train: Train, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bit-equal, with a round of densification after the resume."""
+    options = [*SHORT, "optim.densification.after_step=3", "optim.densification.every=4", "refine.steps=9"]
+    whole, _ = train(*options, folder="whole")
+    original = SignalGuard.on_train_batch_end
+
+    def stop_after_three(self: SignalGuard, trainer: Any, *rest: Any) -> None:
+        if trainer.global_step == 3 and trainer.max_steps == 9:
+            self.received = 15
+        original(self, trainer, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SignalGuard, "on_train_batch_end", stop_after_three)
+        with pytest.raises(Interrupted, match="refine"):
+            train(*options, folder="parts")
+    parts, _ = train(*options, folder="parts")
+    a, b = parameters(whole), parameters(parts)
+    assert a.keys() == b.keys()
+    for name in a:
+        assert torch.equal(a[name], b[name]), name
+
+
+def test_the_hand_over_does_not_stall(train: Train, green: Green) -> None:
+    """After 100 steps towards one colour, what is hidden has moved by a tenth of rate x steps at least.
+
+    The optimisation's loss is 1e4 times larger: with its second moments, Adam would hardly move.
+    """
+    folder, _ = train(
+        *SHORT, "refine.source=prior", "optim.steps=30", "refine.steps=100", "refine.lambda_rgb=0",
+        "refine.lambda_mask=0", "refine.densify=false", "optim.rates.opacity=0",
+    )  # fmt: skip
+    before, after = (parameters(folder, stage)["gaussians.sh0"][:, 0, 1] for stage in ("optim", "refine"))
+    moved = (after - before).sort(descending=True).values
+    assert moved[: len(moved) // 20].mean() > 0.1 * 100 * 2.5e-3
+
+
+def test_scaling_all_weights_changes_nothing(train: Train) -> None:
+    """Adam does not see a common factor of the loss, nor does densification."""
+    options = [*SHORT, "optim.densification.after_step=3", "optim.densification.every=4", "refine.steps=6"]
+    scaled = ["refine.lambda_rgb=1024", "refine.lambda_mask=102.4", "refine.lambda_gen=102.4"]
+    a, _ = train(*options, folder="a")
+    b, _ = train(*options, *scaled, folder="b")
+    first, second = parameters(a), parameters(b)
+    assert len(first["gaussians.means"]) != 6890, "densification has worked"
+    for name in first:  # but for those whose gradient is as small as Adam's floor
+        assert len(first[name]) == len(second[name])
+        apart = (first[name].double() - second[name].double()).abs()
+        assert float((apart > 1e-5 + 1e-4 * first[name].abs()).double().mean()) < 1e-3, name
+
+
+def test_an_unoccluded_scene_is_neither_completed_nor_inpainted(
+    train: Train, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> None:
+        raise AssertionError("a prior was made although nothing is hidden")
+
+    for place in ("init_run.make_mask_prior", "refine_run.make_inpainter", "app.make_score_prior"):
+        monkeypatch.setattr(f"occfusion.{place}", fail)
+    folder, metrics = train(
+        "variant=E", "optim.steps=3", "optim.sds.lambda_can=0", "dataset.occlusion.kind=none"
+    )
+    assert not (folder / "masks").exists() and not (folder / "inpainted").exists()
+    assert not (folder / "refine").exists()
+    assert {"stage init", "stage refine", "inpainting"} <= set(metrics["left_out"])
+    assert decisions(folder)["stage refine"]["reason"].startswith("0 of 10 training frames")
+    assert "refine: left out" in capsys.readouterr().out
+
+
+def test_plan_full_does_everything(train: Train, green: Green) -> None:
+    folder, metrics = train(*SHORT, "refine.source=prior", "dataset.occlusion.kind=none", "plan=full")
+    assert green.asked == 10
+    assert (folder / "refine" / "avatar.safetensors").is_file()
+    assert len(list((folder / "masks").glob("*.png"))) == 10
+    assert not {"stage init", "stage refine", "inpainting"} & set(metrics["left_out"])
+
+
+def test_a_missing_reference_is_named(train: Train, green: Green) -> None:
+    folder, _ = train(*SHORT, "refine.source=prior")
+    (folder / "refine" / "stage.json").unlink()
+    (folder / "refine" / "last.ckpt").unlink()
+    (folder / "finished.json").unlink()
+    for region in (folder / "inpainted" / "regions").glob("*.png"):
+        region.unlink()
+    with pytest.raises(DataError, match=r"regions/0000\d\d\.png: the reference of this frame is missing"):
+        train(*SHORT, "refine.source=prior")

@@ -1,0 +1,84 @@
+"""Colours gathered from visible pixels against pictures of one Gaussian at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch.testing import assert_close
+
+from occfusion.human import Avatar
+from occfusion.inpaint.accumulation import ENOUGH, Accumulated, accumulate
+from occfusion.splat import rasterize
+from occfusion.types import Frame
+
+SIZE = 48
+MakeFrame = Callable[..., Frame]
+
+
+def left_half() -> torch.Tensor:
+    hidden = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+    hidden[:, : SIZE // 2] = True
+    return hidden
+
+
+def one_by_one(avatar: Avatar, frame: Frame) -> tuple[torch.Tensor, torch.Tensor]:
+    """Weights and weighted colours from a picture of each Gaussian alone in white among black ones."""
+    with torch.no_grad():
+        cloud = avatar(frame.pose, frame.camera.centre)
+        weights, sums = [], []
+        for k in range(len(cloud.means)):
+            colors = torch.zeros_like(cloud.colors)
+            colors[k] = 1.0
+            share = rasterize(
+                cloud.means, None, None, cloud.opacities, colors, frame.camera.viewmat, frame.camera.K, SIZE, SIZE,
+                covariances=cloud.covariances, backend="torch",
+            ).rgb[..., 0] * frame.visible_mask  # fmt: skip
+            weights.append(share.sum())
+            sums.append((share[..., None] * frame.rgb).sum(dim=(0, 1)))
+    return torch.stack(weights), torch.stack(sums)
+
+
+def test_weights_and_colours_are_those_of_the_visible_pixels(avatar: Avatar, make_frame: MakeFrame) -> None:
+    frames = [make_frame(0), make_frame(1, left_half())]
+    found = accumulate(avatar, frames, "torch")
+    parts = [one_by_one(avatar, frame) for frame in frames]
+    weights = parts[0][0] + parts[1][0]
+    assert_close(found.weights, weights, rtol=1e-4, atol=1e-4)
+    well_seen = weights > 50 * ENOUGH  # the neighbours' share is below 2 %
+    if not bool(well_seen.any()):
+        well_seen = weights > weights.median()
+    colors = (parts[0][1] + parts[1][1])[well_seen] / weights[well_seen, None]
+    share = (weights / (weights + ENOUGH))[well_seen, None]
+    assert ((found.colors[well_seen] - colors).abs() <= (1.0 - share) + 1e-4).all()
+
+
+def test_what_is_hidden_counts_nothing(avatar: Avatar, make_frame: MakeFrame) -> None:
+    everything = torch.ones(SIZE, SIZE, dtype=torch.bool)
+    alone = accumulate(avatar, [make_frame(0, left_half())], "torch")
+    with_hidden = accumulate(avatar, [make_frame(0, left_half()), make_frame(1, everything)], "torch")
+    assert_close(with_hidden.weights, alone.weights)
+    assert_close(with_hidden.colors, alone.colors)
+    nothing = accumulate(avatar, [make_frame(0, everything)], "torch")
+    assert (nothing.weights == 0).all() and (nothing.colors == 0.5).all()
+
+
+def test_unseen_gaussians_take_the_colours_of_neighbours(avatar: Avatar, make_frame: MakeFrame) -> None:
+    frame = make_frame(0)
+    red = Frame(**{**vars(frame), "rgb": torch.tensor([0.8, 0.1, 0.2]).expand(SIZE, SIZE, 3).contiguous()})
+    found = accumulate(avatar, [red], "torch")
+    assert (found.weights < ENOUGH).any(), "the scene has hidden Gaussians"
+    assert_close(found.colors, torch.tensor([0.8, 0.1, 0.2]).expand_as(found.colors), rtol=0, atol=2e-3)
+
+
+def test_the_avatar_is_not_changed_and_grows_no_gradient(avatar: Avatar, make_frame: MakeFrame) -> None:
+    before = {name: value.clone() for name, value in avatar.state_dict().items() if torch.is_tensor(value)}
+    accumulate(avatar, [make_frame(0)], "torch")
+    for name, value in before.items():
+        assert torch.equal(avatar.state_dict()[name], value), name
+    assert all(parameter.grad is None for parameter in avatar.parameters())
+
+
+def test_seen_grows_with_the_weight() -> None:
+    seen = Accumulated(torch.zeros(3, 3), torch.tensor([0.0, ENOUGH, 1e6])).seen
+    assert_close(seen, torch.tensor([0.0, 0.5, 1.0]), rtol=0, atol=1e-5)
