@@ -17,6 +17,7 @@ LAYERS = [
     {"human", "perceptual"},
     {"synth", "data"},
     {"priors"},
+    {"inpaint"},
     {"render", "evaluate"},
     {"stages"},
     {
@@ -32,6 +33,7 @@ LAYERS = [
         "evaluation_run",
         "evaluation_tables",
         "init_run",
+        "refine_run",
         "prior_run",
         "report",
         "compare",
