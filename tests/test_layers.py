@@ -33,6 +33,7 @@ LAYERS = [
         "evaluation_run",
         "evaluation_tables",
         "init_run",
+        "refine_run",
         "prior_run",
         "recipes",
         "refine_run",

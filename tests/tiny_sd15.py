@@ -122,9 +122,15 @@ def _edit(path: Path, **changes: Any) -> None:
     path.write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
 
 
-def write_tiny_models(root: Path) -> dict[str, str]:
-    """Writes all three under a folder; returns the settings that name them."""
+def write_tiny_painter(root: Path) -> dict[str, str]:
+    """Writes the two that inpaint under a folder; returns the settings that name them."""
     write_tiny_inpainting(root / "inpainting")
     write_tiny_controlnet(root / "controlnet")
+    return {name: str(root / name) for name in ("inpainting", "controlnet")}
+
+
+def write_tiny_models(root: Path) -> dict[str, str]:
+    """Writes all three under a folder; returns the settings that name them."""
+    painter = write_tiny_painter(root)
     write_tiny_segmenter(root / "segmenter")
-    return {name: str(root / name) for name in ("inpainting", "controlnet", "segmenter")}
+    return {**painter, "segmenter": str(root / "segmenter")}

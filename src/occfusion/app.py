@@ -22,6 +22,7 @@ from occfusion.finished import finished_in, record_finished
 from occfusion.human import Avatar, load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.init_run import look_at_training_frames, run_init
+from occfusion.inpaint.registry import check_inpainter
 from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.prior_run import run_prior_training
 from occfusion.priors.moments import Moment
@@ -119,6 +120,8 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
     backend = resolve_backend(settings.rasterizer.name, _device(settings), torch.float32)
     if settings.optim.sds.is_used and "optim" in stages_to_run(settings):
         check_score_prior(settings.prior)
+    if settings.refine.source == "prior" and "refine" in stages_to_run(settings):
+        check_inpainter(settings.prior, _device(settings))
     folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
     moments = look_at_training_frames(data, body) if is_prior_asked else None

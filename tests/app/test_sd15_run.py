@@ -1,4 +1,4 @@
-"""The initialisation stage with the Stable Diffusion prior, models tiny and random."""
+"""Runs with the Stable Diffusion prior in each of its places, models tiny and random."""
 
 import json
 from collections.abc import Callable
@@ -46,3 +46,38 @@ def test_models_of_the_score_are_looked_for_before_masks_are_made(train: Train, 
     with pytest.raises(DataError, match=r"prior\.score\.model=.*no such folder"):
         train("variant=C", "prior=sd15", "init.source=truth", f"prior.score.model={tmp_path / 'nowhere'}")
     assert not (tmp_path / "run").exists()
+
+
+def test_the_whole_system_with_models_of_all_places(train: Train, tmp_path: Path) -> None:
+    models = [f"prior.{key}={folder}" for key, folder in write_tiny_models(tmp_path / "models").items()]
+    write_tiny_inpainting(tmp_path / "model", channels_in=4)
+    write_tiny_controlnet(tmp_path / "controlnet")
+    models += [f"prior.score.{name}={tmp_path / name}" for name in ("model", "controlnet")]
+    small = ("prior.resolution=64", "prior.steps=2", "prior.inpaint.resolution=64", "prior.inpaint.steps=2")
+    folder, _ = train(
+        "variant=E", "prior=sd15", "sds=code", "trainer.fast_dev_run=true", "refine.lambda_lpips=0",
+        "dataset.occlusion.fraction=1", *models, *small,
+    )  # fmt: skip
+    manifest = json.loads((folder / "inpainted" / "manifest.json").read_text())
+    identity = manifest["identity"]
+    assert identity["inpainter"] == "sd15" and identity["inpainting_hash"] and identity["controlnet_hash"]
+    assert identity["prompt"] == "the same person standing in two different rooms"
+    assert identity["steps"] == 2 and identity["data"] and identity["avatar"]
+    ((name, record),) = manifest["frames"].items()
+    assert record["region_pixels"] > 0 and record["moved"] > 0
+    assert (folder / "inpainted" / f"{name}.png").is_file()
+    assert (folder / "refine" / "avatar.safetensors").is_file()
+
+
+def test_models_of_the_inpainter_are_looked_for_before_masks_are_made(train: Train, tmp_path: Path) -> None:
+    missing = f"prior.controlnet={tmp_path / 'nowhere'}"
+    write_tiny_inpainting(tmp_path / "inpainting")
+    options = (
+        "variant=E", "prior=sd15", "init.source=truth", "optim.sds.lambda_pose=0", "optim.sds.lambda_can=0",
+        f"prior.inpainting={tmp_path / 'inpainting'}",
+    )  # fmt: skip
+    with pytest.raises(DataError, match=r"prior\.controlnet=.*nowhere: there is no such folder.*hf download"):
+        train(*options, missing)
+    assert not (tmp_path / "run").exists()
+    folder, _ = train(*options, missing, "refine.source=coarse", "stage=init")
+    assert (folder / "masks").is_dir()

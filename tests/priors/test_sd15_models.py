@@ -42,6 +42,7 @@ def test_presets_are_the_papers_values_and_the_codes() -> None:
     paper, code = composed("sd15"), composed("sd15_code")
     score = paper.pop("score")
     assert code.pop("score") == score
+    del paper["inpaint"], code["inpaint"]  # of another stage
     assert {**asdict(Sd15ScoreSettings()), **score} == asdict(Sd15ScoreSettings())
     assert paper == asdict(Sd15Settings())
     assert (paper["steps"], paper["control_scale"]) == (10, 1.0)

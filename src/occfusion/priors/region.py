@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -57,11 +57,21 @@ class Region:
         size = _rounded_up(high - low)
         # the pixels that rounding added are shared out, inside the picture where it has room
         start = np.clip(low - (size - (high - low)) // 2, 0, np.maximum(limit - size, 0)).astype(int)
-        work = size
+        return cls(*(int(value) for value in (*start, *size, *size))).at_work(resolution)
+
+    def at_work(self, resolution: int, copies: int = 1) -> Region:
+        """Returns the region worked on at another size.
+
+        Args:
+            resolution: longer side of what is worked on, pixels, a multiple of 8 times `copies`; 0: the region's
+                own size.
+            copies: regions of this size that stand side by side in it.
+        """
+        work = size = np.array([self.width, self.height])
         if resolution:
-            scaled = size * (resolution / size.max())
+            scaled = size * (resolution / max(copies * self.width, self.height))
             work = np.maximum(MULTIPLE * np.rint(scaled / MULTIPLE).astype(int), MULTIPLE)
-        return cls(*(int(value) for value in (*start, *size, *work)))
+        return replace(self, work_width=int(work[0]), work_height=int(work[1]))
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -85,12 +95,24 @@ class Region:
         return _resized(window, self.work_width, self.work_height)
 
     def put(self, window: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-        """Returns a picture `[H, W]` with a window at work, `[work_height, work_width]`, in its place; 0 around it."""
+        """Returns a picture `[H, W]` or `[H, W, C]` with a window at work in its place; 0 around it.
+
+        Args:
+            window: `[work_height, work_width]` or `[work_height, work_width, C]`.
+            width: columns of the picture.
+            height: rows of the picture.
+        """
         own = _resized(window, self.width, self.height)
-        picture = np.zeros((height, width), np.float32)
+        picture = np.zeros((height, width, *window.shape[2:]), np.float32)
         rows, columns = min(self.height, height - self.y), min(self.width, width - self.x)
         picture[self.y : self.y + rows, self.x : self.x + columns] = own[:rows, :columns]
         return picture
+
+    def inside(self, width: int, height: int) -> NDArray[np.bool_]:
+        """Returns which pixels of a picture lie in the region, bool `[height, width]`."""
+        found = np.zeros((height, width), np.bool_)
+        found[self.y : self.y + self.height, self.x : self.x + self.width] = True
+        return found
 
 
 def _rounded_up(size: NDArray[np.floating]) -> NDArray[np.int64]:

@@ -30,8 +30,7 @@ def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPr
         ConfigError: an unknown prior, key or type.
         DataError: weights are missing or damaged.
     """
-    options = {key: value for key, value in settings.items() if key not in OTHERS}
-    name = options.pop("name", None)
+    name, options = settings.get("name"), mask_settings(settings)
     if name == "embedded":
         return EmbeddedMaskPrior(typed_settings(EmbeddedSettings, options), device)
     if name == "sd15":
@@ -39,6 +38,11 @@ def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPr
 
         return Sd15MaskPrior(typed_settings(Sd15Settings, options), device)
     raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")
+
+
+def mask_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the mask prior's own settings: all of `prior` but its name and the groups in it."""
+    return {key: value for key, value in settings.items() if key not in ("name", *OTHERS)}
 
 
 def make_score_prior(settings: Mapping[str, Any], device: torch.device) -> ScorePrior[Any]:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-import hashlib
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from occfusion.errors import ConfigError
-from occfusion.priors.bodyview import project, view_body
+from occfusion.priors.body_region import body_keypoints, body_region
 from occfusion.priors.canvas import draw_keypoints
-from occfusion.priors.keypoints import Keypoints, see_keypoints
+from occfusion.priors.keypoints import Keypoints
 from occfusion.priors.masks import MaskPrior, Observation
-from occfusion.priors.model_folder import CONTROLNET, INPAINTING, SEGMENTER, find_model, fingerprint
+from occfusion.priors.model_folder import SEGMENTER, find_model, fingerprint
 from occfusion.priors.region import Region
-from occfusion.priors.sd15_models import load_inpainting, load_segmenter, require_packages
-from occfusion.priors.sd15_settings import DTYPES, NO_EFFECT, Sd15Settings, resolve_device
+from occfusion.priors.sd15_models import load_segmenter
+from occfusion.priors.sd15_pipeline import (
+    as_planes,
+    find_inpainting,
+    frame_seed,
+    inpainting_hashes,
+    make_pipeline,
+    resolve_placement,
+)
+from occfusion.priors.sd15_settings import DTYPES, NO_EFFECT, Sd15Settings
 
 __all__ = ["Sd15MaskPrior", "Sd15Settings"]
 
@@ -40,43 +46,21 @@ class Sd15MaskPrior(MaskPrior):
 
     def __init__(self, settings: Sd15Settings, device: torch.device | str = "cpu") -> None:
         self.settings = settings
-        self.device = resolve_device(settings.device, settings.dtype, device)
-        if settings.cpu_offload and self.device.type == "cpu":
-            raise ConfigError(
-                "setting prior.cpu_offload=true: nothing runs on a GPU, so there is nothing to offload"
-            )
-        require_packages(settings.cpu_offload)
-        folders = [
-            find_model(kind, source, revision, settings.local_files_only)
-            for kind, source, revision in (
-                (INPAINTING, settings.inpainting, settings.inpainting_revision),
-                (CONTROLNET, settings.controlnet, settings.controlnet_revision),
-                (SEGMENTER, settings.segmenter, settings.segmenter_revision),
-            )
-        ]
-        auto = "float32" if self.device.type == "cpu" else "float16"
-        self.dtype = auto if settings.dtype == "auto" else settings.dtype
-        dtype = DTYPES[self.dtype]
-        self.hashes = [
-            fingerprint(*pair) for pair in zip(folders, (INPAINTING, CONTROLNET, SEGMENTER), strict=True)
-        ]
-        self.pipeline = load_inpainting(folders[0], folders[1], settings.sampler, dtype)
-        self.segmenter, self.processor = load_segmenter(folders[2], dtype)
-        if settings.attention_slicing:
-            self.pipeline.enable_attention_slicing()
-        if settings.vae_slicing:
-            self.pipeline.vae.enable_slicing()
-        if settings.cpu_offload:
-            self.pipeline.enable_model_cpu_offload(device=self.device)
-        else:
-            self.pipeline.to(self.device)
+        self.device, self.dtype = resolve_placement(settings, device)
+        folders = find_inpainting(settings)
+        segmenter = find_model(
+            SEGMENTER, settings.segmenter, settings.segmenter_revision, settings.local_files_only
+        )
+        self.hashes = {**inpainting_hashes(folders), "segmenter_hash": fingerprint(segmenter, SEGMENTER)}
+        self.pipeline = make_pipeline(folders, settings, settings.sampler, self.device, self.dtype)
+        self.segmenter, self.processor = load_segmenter(segmenter, DTYPES[self.dtype])
+        if not settings.cpu_offload:
             self.segmenter.to(self.device)
 
     def describe(self) -> dict[str, Any]:
         """Returns what decides the masks: prompts, sampling, precision, and the hashes of the models."""
         own = {key: value for key, value in vars(self.settings).items() if key not in NO_EFFECT}
-        hashes = zip(("inpainting_hash", "controlnet_hash", "segmenter_hash"), self.hashes, strict=True)
-        return {"prior": self.name, **own, "dtype": self.dtype, **dict(hashes)}
+        return {"prior": self.name, **own, "dtype": self.dtype, **self.hashes}
 
     def probability(self, observation: Observation) -> NDArray[np.float32]:
         """Returns the probability of the person, `[H, W]`; 0 outside the region, and where no joint is seen.
@@ -100,23 +84,11 @@ class Sd15MaskPrior(MaskPrior):
 
     def region(self, observation: Observation) -> Region | None:
         """Returns where a frame is inpainted; None where its body is outside the picture."""
-        camera = observation.camera
-        pixels, depths = project(
-            observation.vertices, camera.viewmat.double().numpy(), camera.K.double().numpy()
-        )
-        height, width = observation.visible.shape
-        return Region.around(
-            pixels[depths > 0.01], (width, height), self.settings.margin, self.settings.resolution
-        )
+        return body_region(observation, self.settings.margin, self.settings.resolution)
 
     def keypoints(self, observation: Observation, region: Region) -> Keypoints:
         """Returns the key points in a region at work, without those that the body itself hides."""
-        camera = region.camera(observation.camera)
-        projected = project(observation.vertices, camera.viewmat.double().numpy(), camera.K.double().numpy())
-        depth = view_body(*projected, observation.faces, camera.width, camera.height).depth
-        return see_keypoints(
-            torch.from_numpy(observation.keypoints), camera, depth, self.settings.self_occlusion
-        )
+        return body_keypoints(observation, region, self.settings.self_occlusion)
 
     @torch.no_grad()
     def inpaint(self, observation: Observation, region: Region, seen: Keypoints) -> Picture:
@@ -127,8 +99,8 @@ class Sd15MaskPrior(MaskPrior):
         hidden = region.take((~observation.visible).astype(np.float32), outside=1.0) > 0.5
         canvas = draw_keypoints(seen, region.work_width, region.work_height).astype(np.float32) / 255.0
         result = self.pipeline(
-            prompt=settings.prompt, negative_prompt=settings.negative_prompt, image=_planes(picture),
-            mask_image=_planes(hidden[..., None].astype(np.float32)), control_image=_planes(canvas),
+            prompt=settings.prompt, negative_prompt=settings.negative_prompt, image=as_planes(picture),
+            mask_image=as_planes(hidden[..., None].astype(np.float32)), control_image=as_planes(canvas),
             width=region.work_width, height=region.work_height, num_inference_steps=settings.steps,
             guidance_scale=settings.guidance, controlnet_conditioning_scale=settings.control_scale,
             generator=torch.Generator().manual_seed(frame_seed(settings.seed, observation.name)), output_type="np",
@@ -170,13 +142,3 @@ def prompts(seen: Keypoints, region: Region) -> NDArray[np.float64]:
     size = (region.work_width, region.work_height)
     inside = seen.shown & (seen.pixels >= 0).all(axis=1) & (seen.pixels < size).all(axis=1)
     return seen.pixels[inside] - 0.5
-
-
-def frame_seed(seed: int, name: str) -> int:
-    """Returns the seed of a frame's noise: the same on each machine and in each run."""
-    return int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest()[:7], "big")
-
-
-def _planes(picture: Picture) -> torch.Tensor:
-    """Returns a picture `[h, w, C]` as a batch `[1, C, h, w]`."""
-    return torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None]

@@ -78,18 +78,33 @@ class Sd15Settings:
     cpu_offload: bool = False
 
     def __post_init__(self) -> None:
-        _check("steps", self.steps, self.steps >= 1, "at least 1")
-        _check("guidance", self.guidance, self.guidance >= 0.0, "0 or more")
-        _check("control_scale", self.control_scale, self.control_scale >= 0.0, "0 or more")
-        _check("margin", self.margin, self.margin >= 0, "0 or more")
+        check_setting("steps", self.steps, self.steps >= 1, "at least 1")
+        check_setting("guidance", self.guidance, self.guidance >= 0.0, "0 or more")
+        check_setting("control_scale", self.control_scale, self.control_scale >= 0.0, "0 or more")
+        check_setting("margin", self.margin, self.margin >= 0, "0 or more")
         allowed = self.resolution >= 0 and self.resolution % MULTIPLE == 0
-        _check("resolution", self.resolution, allowed, f"a multiple of {MULTIPLE}; 0: as the picture is")
-        _check("self_occlusion", self.self_occlusion, self.self_occlusion >= 0.0, "0 or more")
-        _check("sampler", self.sampler, self.sampler in (*SAMPLERS, "model"), f"{', '.join(SAMPLERS)}, model")
-        _check("dtype", self.dtype, self.dtype in ("auto", *DTYPES), f"auto, {', '.join(DTYPES)}")
+        check_setting(
+            "resolution", self.resolution, allowed, f"a multiple of {MULTIPLE}; 0: as the picture is"
+        )
+        check_setting("self_occlusion", self.self_occlusion, self.self_occlusion >= 0.0, "0 or more")
+        check_setting(
+            "sampler", self.sampler, self.sampler in (*SAMPLERS, "model"), f"{', '.join(SAMPLERS)}, model"
+        )
+        check_setting("dtype", self.dtype, self.dtype in ("auto", *DTYPES), f"auto, {', '.join(DTYPES)}")
 
 
-def _check(key: str, value: object, holds: bool, allowed: str) -> None:
+def check_setting(key: str, value: object, holds: bool, allowed: str) -> None:
+    """Refuses a value.
+
+    Args:
+        key: of the setting, below `prior`.
+        value: what was chosen.
+        holds: whether it is allowed.
+        allowed: what is, in words.
+
+    Raises:
+        ConfigError: `holds` is false.
+    """
     if not holds:
         raise ConfigError(f"setting prior.{key}={value!r}: must be {allowed}")
 
