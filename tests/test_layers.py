@@ -36,7 +36,6 @@ LAYERS = [
         "refine_run",
         "prior_run",
         "recipes",
-        "refine_run",
         "report",
         "compare",
         "bench",

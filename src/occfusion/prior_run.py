@@ -29,7 +29,6 @@ from occfusion.stages.prior import Batch, PriorStage
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.settings import PriorTrainingSettings
 
-FAST_DEV = {"examples": 16, "subjects": 1, "validation": 4, "steps": 1, "batch": 4}
 WEIGHTS = "prior.safetensors"
 
 
@@ -49,7 +48,7 @@ def run_prior_training(
     """
     training = settings.prior_training
     if settings.trainer.fast_dev_run:
-        training = replace(training, **FAST_DEV)
+        training = replace(training, examples=16, subjects=1, validation=4, steps=1, batch=4)
     identity = hashlib.sha256(json.dumps(asdict(training), sort_keys=True).encode()).hexdigest()[:16]
     folder = claim_run_folder(settings, identity, chosen_by_user=folder_chosen_by_user)
     place = Path(training.corpus) if training.corpus else folder / "corpus"

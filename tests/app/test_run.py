@@ -34,7 +34,7 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("variant", "stage"), [(v, s) for v in ("gauhuman", "A", "B", "C", "D") for s in ("all", "optim")]
+    ("variant", "stage"), [(v, s) for v in ("gauhuman", "A", "B", "C", "D", "E") for s in ("all", "optim")]
 )
 def test_fast_dev_run(train: Train, variant: str, stage: str) -> None:
     folder, metrics = train(f"variant={variant}", f"stage={stage}", "trainer.fast_dev_run=true")

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar
 from occfusion.inpaint.batches import Batch, make_batch, whole_batch
@@ -22,11 +23,12 @@ from occfusion.priors.diffusion import posterior_mean
 from occfusion.priors.moments import Moment
 from occfusion.recipes.recipe import Recipe
 from occfusion.stages.settings import PriorTrainingSettings
+from occfusion.synth.spec import HELD_OUT_FROM
 from occfusion.types import Frame
 
 VERSION = 1
 """Of the corpus: raised whenever its bytes change."""
-FIRST_SUBJECT, SUBJECTS = 5, 14
+FIRST_SUBJECT = 5
 VALIDATION_SUBJECTS = 2
 """The first ones; they are measured on and not trained on."""
 OCCLUSIONS = (
@@ -74,8 +76,16 @@ TrainCoarse = Callable[[CoarseScene, Path], Coarse]
 """Trains a scene in a folder."""
 
 
-def coarse_scenes(count: int = SUBJECTS) -> list[CoarseScene]:
-    """Returns the scenes: one subject each, both levels in turn, hidden in different ways."""
+def coarse_scenes(count: int) -> list[CoarseScene]:
+    """Returns the scenes: one subject each, both levels in turn, hidden in different ways.
+
+    Raises:
+        ConfigError: more subjects than may be trained on.
+    """
+    if not 1 <= count <= HELD_OUT_FROM - FIRST_SUBJECT:
+        raise ConfigError(
+            f"setting prior_training.subjects: {count} is not from 1 to {HELD_OUT_FROM - FIRST_SUBJECT}"
+        )
     found = []
     for subject in range(FIRST_SUBJECT, FIRST_SUBJECT + count):
         kind, share = OCCLUSIONS[(subject // 2) % len(OCCLUSIONS)]
@@ -95,7 +105,7 @@ class AppearanceRecipe(Recipe[AppearanceNet]):
     """
 
     kind, size = APPEARANCE, SIZE
-    data = f"coarse avatars of embedded subjects {FIRST_SUBJECT} to {FIRST_SUBJECT + SUBJECTS - 1}, made by this package"
+    data = f"coarse avatars of embedded subjects from {FIRST_SUBJECT} on, made by this package"
     columns = ("coarse_psnr", "inpainted_psnr")
 
     def __init__(self, settings: PriorTrainingSettings, folder: Path, seed: int, train: TrainCoarse) -> None:
