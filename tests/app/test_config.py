@@ -97,7 +97,7 @@ def test_hash_follows_what_training_computes_and_nothing_else() -> None:
 
 
 def test_stage_all_runs_what_the_variant_needs() -> None:
-    assert stages_to_run(settings_of()) == ["init", "optim"]
+    assert stages_to_run(settings_of()) == ["init", "optim", "refine"]
     assert stages_to_run(settings_of("variant=A")) == ["optim"]
     assert stages_to_run(settings_of("stage=prior")) == []
 
@@ -139,8 +139,8 @@ def test_presets_of_score_distillation() -> None:
 
 
 def test_distillation_is_no_part_of_a_run_without_it() -> None:
-    base = settings_hash(settings_of())
-    assert settings_hash(settings_of("optim.sds.t_min=0.1", "sds=code")) == base
+    base = settings_hash(settings_of("variant=B"))
+    assert settings_hash(settings_of("variant=B", "optim.sds.t_min=0.1", "sds=code")) == base
     distilled = settings_hash(settings_of("variant=C"))
     assert distilled != settings_hash(settings_of("variant=C", "optim.sds.t_min=0.1"))
     assert settings_hash(

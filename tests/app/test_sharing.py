@@ -19,13 +19,13 @@ MASKS_ALONE = ("stage=init", "init.source=truth")
 def predictions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The numbers of frames that were really completed, one entry a run that completed any."""
     made: list[int] = []
-    original = init_run._predict
+    original = init_run.predict_frames
 
-    def count(stage: Any, read: Any, wanted: Any, settings: Any) -> None:
+    def count(stage: Any, read: Any, wanted: Any, **options: Any) -> int | None:
         made.append(len(wanted))
-        original(stage, read, wanted, settings)
+        return original(stage, read, wanted, **options)
 
-    monkeypatch.setattr(init_run, "_predict", count)
+    monkeypatch.setattr(init_run, "predict_frames", count)
     return made
 
 
