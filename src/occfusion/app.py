@@ -114,6 +114,7 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
     moments = look_at_training_frames(data, body) if is_prior_asked else None
     decisions = planning.make_plan(settings, summary, backend, moments)
     write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
+    data.store_occlusion(folder / "occlusion")
     perceptual = None
     if settings.optim.lambda_lpips or settings.evaluation.perceptual:
         perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)

@@ -18,6 +18,7 @@ from occfusion.data.posing import Poser, RestBody
 from occfusion.data.prepare import Prepared, Selection, prepare
 from occfusion.data.sampling import StepSampler, StepStream, ViewStream, prefetched
 from occfusion.data.scene import Scene
+from occfusion.data.stored_occlusion import write_occlusion
 from occfusion.data.views import Views, frame_to
 from occfusion.errors import ConfigError
 from occfusion.types import Camera, Frame, Pose
@@ -206,6 +207,18 @@ class HumanDataModule(L.LightningDataModule):
                 shares = [a * b for a, b in zip(shares, estimated, strict=True)]
             self._shares = shares
         return self._shares
+
+    def store_occlusion(self, folder: Path) -> None:
+        """Writes what the simulated occlusion hides of each training frame, for `kind=files` of another run.
+
+        Args:
+            folder: made when missing; untouched where nothing is hidden.
+        """
+        prepared = self._open()[0]
+        whole = prepared.people[0].whole
+        about = {"scene": prepared.scene.name, "camera": prepared.scene.cameras[prepared.camera]}
+        hidden = dict(zip(prepared.train, prepared.hidden, strict=True))
+        write_occlusion(folder, hidden, (whole.width, whole.height), about)
 
     # --- account -------------------------------------------------------------------------------------
 

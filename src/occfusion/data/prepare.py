@@ -99,7 +99,7 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
         scene=scene,
         train=train,
         people=people,
-        hidden=plan(occlusion, [person.whole for person in people], scene.name),
+        hidden=plan(occlusion, [person.whole for person in people], scene.name, train),
         left_out=tuple(frame for frame in wanted if frame not in set(train)),
         test=held_out,
         camera=camera,

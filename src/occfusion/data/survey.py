@@ -120,9 +120,12 @@ def hidden_boxes(hidden: Iterable[Hidden | None]) -> list[list[int] | None]:
 
 
 def hidden_digest(hidden: Iterable[Hidden | None]) -> str:
-    """Returns a fingerprint of hidden parts that are masks; empty where all are rectangles."""
-    masks = [part for part in hidden if isinstance(part, Silhouette)]
+    """Returns a fingerprint of what is hidden in each frame: settings alone do not say what files hold."""
     digest = hashlib.sha256()
-    for mask in masks:
-        digest.update(repr(mask.box).encode() + mask.bits.tobytes())
-    return digest.hexdigest() if masks else ""
+    for part in hidden:
+        digest.update(
+            repr(part.box).encode() + part.bits.tobytes()
+            if isinstance(part, Silhouette)
+            else repr(part).encode()
+        )
+    return digest.hexdigest()
