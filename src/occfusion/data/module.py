@@ -202,9 +202,11 @@ class HumanDataModule(L.LightningDataModule):
         prepared, views, _ = self._open()
         if self._shares is None:
             shares = prepared.visible_shares()
-            if prepared.truth_unknown:
+            if any(prepared.unknown):
                 estimated = validation.estimated_shares(prepared, views, self.poser)
-                shares = [a * b for a, b in zip(shares, estimated, strict=True)]
+                shares = [
+                    s * e if u else s for s, e, u in zip(shares, estimated, prepared.unknown, strict=True)
+                ]
             self._shares = shares
         return self._shares
 
@@ -239,8 +241,11 @@ class HumanDataModule(L.LightningDataModule):
             "stored_size": list(lens.source),
             "size": list(lens.size),
             "occlusion": self.occlusion.kind,
-            "occluded_frames": sum(share < (CLEAR if prepared.truth_unknown else 1.0) for share in shares),
-            "visible_share_is": "estimated" if prepared.truth_unknown else "known",
+            "occluded_frames": sum(
+                share < (CLEAR if unknown else 1.0)
+                for share, unknown in zip(shares, prepared.unknown, strict=True)
+            ),
+            "visible_share_is": "estimated" if any(prepared.unknown) else "known",
             "hidden_boxes": survey.hidden_boxes(prepared.hidden),
             "visible_share": {
                 str(frame): round(share, 4) for frame, share in zip(prepared.train, shares, strict=True)
