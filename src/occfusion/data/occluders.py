@@ -62,6 +62,8 @@ def from_files(folder: Path, silhouettes: Sequence[Silhouette]) -> list[Silhouet
     Raises:
         DataError: no such folder, a run's, no picture in it, or one of another size than the data set's pictures.
     """
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no such folder; dataset.occlusion.folder must name one with masks.")
     if is_stored(folder / FOLDER):
         raise DataError(f"{folder}: is a run; name its folder {folder / FOLDER} to hide what it hid.")
     files = list(pictures_in(folder).values())

@@ -74,7 +74,7 @@ class ChompScene(Scene):
             self.remarks = (
                 f"{self._file}, {sequence}: the people {', '.join(map(str, sorted(others)))} are annotated beside "
                 f"person {key}; masks must show {key} alone. If their values are the people's ids, set "
-                "dataset.numbered_masks=true and dataset.person.",
+                f"dataset.numbered_masks=true dataset.person={key} (in check: --numbered-masks --person {key}).",
             )
         self._rigs = [self._rig(camera) for camera in range(len(cameras))]
 

@@ -49,7 +49,8 @@ def open_folder(
         case "chomp":
             if sequence is None:
                 raise ConfigError(
-                    f"{folder}: holds several sequences; name one of {', '.join(sequence_names(folder))[:400]}."
+                    f"{folder}: holds several sequences; name one (--scene here, dataset.scene in training) of "
+                    f"{', '.join(sequence_names(folder))[:400]}."
                 )
             return layout, ChompScene(folder, sequence, pelvis, masks or "mask", person, numbered=numbered)
         case _:
