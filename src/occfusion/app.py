@@ -135,11 +135,10 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
     for stage in stages_to_run(settings):
         if stage not in stages:
             print(f"{stage}: left out, no frame is occluded")
+    data.store_occlusion(folder / "occlusion")
     perceptual = None
-    is_perceptual = settings.optim.lambda_lpips or (
-        "refine" in stages_to_run(settings) and settings.refine.lambda_lpips
-    )
-    if is_perceptual or settings.evaluation.perceptual:
+    trained = [getattr(settings, stage) for stage in stages if stage != "init"]
+    if settings.evaluation.perceptual or any(stage.lambda_lpips for stage in trained):
         perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
     optim = settings.optim
     avatar = Avatar(

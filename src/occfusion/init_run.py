@@ -111,9 +111,11 @@ def _taken(stage: InitStage, shared: Path, record: Path) -> bool:
 def _make_prior(settings: Settings, data: HumanDataModule, device: torch.device) -> MaskPrior:
     if settings.init.source == "prior":
         return make_mask_prior(settings.prior, device)
-    if data.train_frame(0).truth is None:
-        raise ConfigError(
-            "init.source=truth: this data set does not know what is hidden; use init.source=prior"
-        )
-    known = ((frame.name, frame.truth) for frame in data.train_frames())
-    return TruthMasks({name: truth.mask.numpy() for name, truth in known if truth is not None})
+    known = {}
+    for frame in data.train_frames():
+        if frame.truth is None:
+            raise ConfigError(
+                f"init.source=truth: this data set does not know what is hidden in {frame.name}; use init.source=prior"
+            )
+        known[frame.name] = frame.truth.mask.numpy()
+    return TruthMasks(known)

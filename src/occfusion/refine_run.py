@@ -83,9 +83,11 @@ def _make_inpainter(settings: Settings, data: HumanDataModule, device: torch.dev
         return make_inpainter(settings.prior, device)
     if settings.refine.source == "coarse":
         return CoarsePictures()
-    if data.train_frame(0).truth is None:
-        raise ConfigError(
-            "refine.source=truth: this data set does not know what is hidden; use refine.source=prior"
-        )
-    known = ((frame.name, frame.truth) for frame in data.train_frames())
-    return TruthPictures({name: truth.rgb.numpy() for name, truth in known if truth is not None})
+    known = {}
+    for frame in data.train_frames():
+        if frame.truth is None:
+            raise ConfigError(
+                f"refine.source=truth: this data set does not know what is hidden in {frame.name}; use refine.source=prior"
+            )
+        known[frame.name] = frame.truth.rgb.numpy()
+    return TruthPictures(known)

@@ -93,10 +93,10 @@ class Frame:
         name: what errors and tables call it, e.g. `"Camera_B1/000010"`.
         rgb: the observation, `[H, W, 3]`, 0..1; black where the person is not seen.
         visible_mask: the paper's M, bool `[H, W]`.
-        occluded: pixels where an occluder hides what is behind it, bool `[H, W]`, or None when
-            that is not known. Evaluation only: no method of the paper is given it.
+        occluded: pixels where an occluder, or another person who touches this one, hides what is behind it,
+            bool `[H, W]`, or None when that is not known. Evaluation only: no method of the paper is given it.
         complete_mask: the paper's M-hat, bool `[H, W]`; None until a stage has made it.
-        truth: the unoccluded person, None where it is not known.
+        truth: the unoccluded person, None where it is not known: what other people hide never is.
         camera: the camera, at the size of `rgb`.
         pose: the body parameters as the data set gives them.
     """

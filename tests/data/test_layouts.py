@@ -172,6 +172,25 @@ def test_a_folder_of_no_layout(tmp_path):
         find_layout(tmp_path / "notes")
 
 
+@pytest.mark.parametrize(
+    ("kind", "other", "words"),
+    [
+        ("w2a", ZjuDataModule, "layout 'w2a', which dataset=ocmotion reads; this data set reads refined"),
+        ("video", ZjuDataModule, "layout 'video', which dataset=video reads"),
+        ("refined", VideoDataModule, "layout 'refined', which dataset=zju reads"),
+        (
+            "humannerf",
+            OcMotionDataModule,
+            "layout 'humannerf', which dataset=zju reads; this data set reads w2a",
+        ),
+        ("chomp", VideoDataModule, "layout 'chomp', which dataset=ocmotion reads"),
+    ],
+)
+def test_the_data_set_that_reads_a_layout_is_named(kind, other, words, written, source):
+    with pytest.raises(DataError, match=words):
+        other(written[kind].parent, written[kind].name, source.body).setup()
+
+
 def test_the_wanted_person_of_several(written, source):
     by_id = opened("chomp", written["chomp"], source)
     assert not by_id.train_frame(0).visible_mask[:2, :2].any()

@@ -65,7 +65,7 @@ def test_code_in_annots_is_refused_and_does_not_run(scene, tmp_path):
 def test_missing_folders_and_files(scene):
     with pytest.raises(DataError, match=r"no such folder.*the sequences tiny"):
         ZjuDataModule(scene.root, "CoreView_377", scene.body).validate()
-    with pytest.raises(DataError, match="no such folder either"):
+    with pytest.raises(DataError, match=r"no such folder; there is no .* either"):
         ZjuDataModule(scene.root / "absent", "tiny", scene.body).validate()
     (scene.folder / "annots.npy").unlink()
     refused(scene, "annots.npy: file not found")

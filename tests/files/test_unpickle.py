@@ -206,12 +206,16 @@ def test_mutations_never_escape():
     rng = np.random.default_rng(0)
     for protocol in (0, 2, 4):
         content = pickle.dumps(annots_like(), protocol)
+        sound = 0
         for _ in range(200):
             changed = bytearray(content)
             for _ in range(rng.integers(1, 4)):
                 changed[rng.integers(len(changed))] = rng.integers(256)
+            cut = len(changed) if rng.random() < 0.5 else rng.integers(1, len(changed) + 1)
             with contextlib.suppress(DataError):
-                loads(bytes(changed[: rng.integers(1, len(changed) + 1)]), "mutant")
+                loads(bytes(changed[:cut]), "mutant")
+                sound += 1
+        assert 0 < sound < 200  # numbers inside arrays may change; opcodes and lengths hardly
 
 
 class Ch:

@@ -37,6 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--masks", help="mask folder (default: the layout's)")
     parser.add_argument("--person", type=int, help="which of several people, where the files tell them apart")
     parser.add_argument(
+        "--numbered-masks", action="store_true", help="masks hold the people's ids (OcMotion as released)"
+    )
+    parser.add_argument(
         "--overlay", type=Path, help="where the overlay picture goes (default: check_SCENE.png here)"
     )
     parser.add_argument(
@@ -92,7 +95,14 @@ def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding]
     try:
         poser, body = _poser(folder, arguments.body)
         findings.append(body)
-        layout, scene = open_folder(folder, poser.pelvis, arguments.masks, arguments.scene, arguments.person)
+        layout, scene = open_folder(
+            folder,
+            poser.pelvis,
+            arguments.masks,
+            arguments.scene,
+            arguments.person,
+            numbered=arguments.numbered_masks,
+        )
     except OccfusionError as error:
         return [*findings, Finding("error", "folder", str(error))], None
     text = f"{layout}: {scene.num_frames} frames, {len(scene.cameras)} cameras"

@@ -33,7 +33,8 @@ def _fit(look: Look) -> Iterator[Finding]:
     bodies = {frame: vertices for frame, (vertices, _) in posed.items()}
     scores = [overlap.mask_overlap(bodies[frame], camera, masks[frame]) for frame in posed]
     iou, inside = np.mean(scores, axis=0)
-    unknown = look.scene.files(next(iter(posed)), look.camera).truth_unknown
+    crowded = any(look.people[frame].crowded for frame in posed)
+    unknown = crowded or look.scene.files(next(iter(posed)), look.camera).truth_unknown
     good = (inside if unknown else iou) >= DOUBTFUL_OVERLAP
     away = np.median([checks.project(joints, camera)[1].mean() for _, joints in posed.values()])
     text = (

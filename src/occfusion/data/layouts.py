@@ -47,6 +47,8 @@ LAYOUTS = (
 
 ZJU = ("refined", "original", "humannerf")
 OCMOTION = ("w2a", "chomp")
+DATASETS = {**dict.fromkeys(ZJU, "zju"), **dict.fromkeys(OCMOTION, "ocmotion"), "video": "video"}
+"""Which `dataset=` reads each layout."""
 
 
 def find_layout(folder: Path, among: tuple[str, ...] | None = None) -> str:
@@ -61,10 +63,16 @@ def find_layout(folder: Path, among: tuple[str, ...] | None = None) -> str:
     """
     candidates = [layout for layout in LAYOUTS if among is None or layout.name in among]
     if not folder.is_dir():
-        raise DataError(f"{folder}: no such folder; {folder.parent} has {_sequences(folder.parent)}.")
+        raise DataError(f"{folder}: no such folder; {_sequences(folder.parent)}.")
     for layout in candidates:
         if layout.fits(folder):
             return layout.name
+    other = next((layout.name for layout in LAYOUTS if layout.fits(folder)), None)
+    if other is not None:
+        raise DataError(
+            f"{folder}: is of the layout {other!r}, which dataset={DATASETS[other]} reads; this data set reads "
+            f"{', '.join(layout.name for layout in candidates)}."
+        )
     needs = "; ".join(f"{layout.name}: {layout.needs}" for layout in candidates)
     there = ", ".join(sorted(path.name for path in folder.iterdir())[:12]) or "nothing"
     raise DataError(f"{folder}: no layout that is known here. Needed are {needs}. The folder has {there}.")
@@ -80,6 +88,7 @@ def sequences_in(root: Path) -> list[Path]:
 
 def _sequences(root: Path) -> str:
     if not root.is_dir():
-        return "no such folder either"
+        return f"there is no {root} either"
     names = [path.name for path in sequences_in(root)]
-    return "the sequences " + ", ".join(names[:20]) if names else "no sequence in any layout known here"
+    there = "the sequences " + ", ".join(names[:20]) if names else "no sequence in any layout known here"
+    return f"{root} has {there}"

@@ -18,6 +18,7 @@ from occfusion.data.posing import Poser, RestBody
 from occfusion.data.prepare import Prepared, Selection, prepare
 from occfusion.data.sampling import StepSampler, StepStream, ViewStream, prefetched
 from occfusion.data.scene import Scene
+from occfusion.data.stored_occlusion import write_occlusion
 from occfusion.data.views import Views, frame_to
 from occfusion.errors import ConfigError
 from occfusion.types import Camera, Frame, Pose
@@ -202,11 +203,25 @@ class HumanDataModule(L.LightningDataModule):
         prepared, views, _ = self._open()
         if self._shares is None:
             shares = prepared.visible_shares()
-            if prepared.truth_unknown:
+            if any(prepared.unknown):
                 estimated = validation.estimated_shares(prepared, views, self.poser)
-                shares = [a * b for a, b in zip(shares, estimated, strict=True)]
+                shares = [
+                    s * e if u else s for s, e, u in zip(shares, estimated, prepared.unknown, strict=True)
+                ]
             self._shares = shares
         return self._shares
+
+    def store_occlusion(self, folder: Path) -> None:
+        """Writes what the simulated occlusion hides of each training frame, for `kind=files` of another run.
+
+        Args:
+            folder: made when missing; untouched where nothing is hidden.
+        """
+        prepared = self._open()[0]
+        whole = prepared.people[0].whole
+        about = {"scene": prepared.scene.name, "camera": prepared.scene.cameras[prepared.camera]}
+        hidden = dict(zip(prepared.train, prepared.hidden, strict=True))
+        write_occlusion(folder, hidden, (whole.width, whole.height), about)
 
     # --- account -------------------------------------------------------------------------------------
 
@@ -227,8 +242,11 @@ class HumanDataModule(L.LightningDataModule):
             "stored_size": list(lens.source),
             "size": list(lens.size),
             "occlusion": self.occlusion.kind,
-            "occluded_frames": sum(share < (CLEAR if prepared.truth_unknown else 1.0) for share in shares),
-            "visible_share_is": "estimated" if prepared.truth_unknown else "known",
+            "occluded_frames": sum(
+                share < (CLEAR if unknown else 1.0)
+                for share, unknown in zip(shares, prepared.unknown, strict=True)
+            ),
+            "visible_share_is": "estimated" if any(prepared.unknown) else "known",
             "hidden_boxes": survey.hidden_boxes(prepared.hidden),
             "visible_share": {
                 str(frame): round(share, 4) for frame, share in zip(prepared.train, shares, strict=True)

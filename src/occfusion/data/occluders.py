@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from occfusion.data.listing import pictures_in
 from occfusion.data.silhouette import Silhouette
+from occfusion.data.stored_occlusion import FOLDER, is_stored
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask
 
@@ -59,8 +60,12 @@ def from_files(folder: Path, silhouettes: Sequence[Silhouette]) -> list[Silhouet
     """Returns the masks of a folder in the order of their names, begun again when there are too few.
 
     Raises:
-        DataError: no such folder, no picture in it, or one of another size than the data set's pictures.
+        DataError: no such folder, a run's, no picture in it, or one of another size than the data set's pictures.
     """
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no such folder; dataset.occlusion.folder must name one with masks.")
+    if is_stored(folder / FOLDER):
+        raise DataError(f"{folder}: is a run; name its folder {folder / FOLDER} to hide what it hid.")
     files = list(pictures_in(folder).values())
     kept: dict[Path, Silhouette] = {}
     hidden: list[Silhouette | None] = []

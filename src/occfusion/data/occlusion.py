@@ -19,6 +19,7 @@ import numpy as np
 
 from occfusion.data.occluders import from_files, polygons
 from occfusion.data.silhouette import Hidden, Silhouette
+from occfusion.data.stored_occlusion import is_stored, read_occlusion
 from occfusion.errors import ConfigError, DataError
 from occfusion.types import Box
 
@@ -59,7 +60,8 @@ class OcclusionSettings:
         width: columns of the strip or bar, of a picture 1024 wide; from the table or the data when None.
         sweeps: how often the moving bar crosses the person's range during the occluded frames.
         seed: of the polygons; the same for all variants of a run, whatever their own seed.
-        folder: masks of `files`, not 0 where something is hidden, of the size of the stored pictures.
+        folder: of `files`: masks, not 0 where something is hidden, of the size of the stored pictures; or the
+            folder `occlusion` of a run, to hide what that run hid.
     """
 
     kind: str = "none"
@@ -109,7 +111,10 @@ class OcclusionSettings:
 
 
 def plan(
-    settings: OcclusionSettings, silhouettes: Sequence[Silhouette], scene_name: str
+    settings: OcclusionSettings,
+    silhouettes: Sequence[Silhouette],
+    scene_name: str,
+    frames: Sequence[int] | None = None,
 ) -> tuple[Hidden | None, ...]:
     """Returns what is hidden in each training frame, in pixels of the stored picture, or None.
 
@@ -117,10 +122,17 @@ def plan(
         settings: the kind and its parameters.
         silhouettes: the whole person in each training frame, in order.
         scene_name: decides whether the paper's table applies.
+        frames: their numbers in the sequence, by which a run's stored occlusion is found; 0, 1, ... when None.
 
     Raises:
-        DataError: the position must come from the data and no frame shows a person.
+        DataError: the position must come from the data and no frame shows a person; or masks are missing,
+            damaged or of another size.
     """
+    folder = Path(settings.folder or "")
+    if settings.kind == "files" and is_stored(folder) and silhouettes:
+        # which frames are occluded was decided by that run; `fraction` has no say
+        numbers, size = frames or range(len(silhouettes)), (silhouettes[0].width, silhouettes[0].height)
+        return tuple(read_occlusion(folder, numbers, size))
     occluded = round(settings.fraction * len(silhouettes))
     if settings.kind == "none" or occluded == 0:
         return (None,) * len(silhouettes)
@@ -133,7 +145,7 @@ def plan(
     elif settings.kind == "polygons":
         boxes = list(polygons(silhouettes[:occluded], settings.share, settings.seed))
     else:
-        boxes = list(from_files(Path(settings.folder or ""), silhouettes[:occluded]))
+        boxes = list(from_files(folder, silhouettes[:occluded]))
     return (*boxes, *(None,) * (len(silhouettes) - occluded))
 
 

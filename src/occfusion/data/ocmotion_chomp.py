@@ -23,7 +23,10 @@ from occfusion.data.lens import OPENCV_CENTRE
 from occfusion.data.listing import MAX_DIGITS
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
 from occfusion.errors import ConfigError, DataError
+from occfusion.files.thinned import Thin, load_thinned
 from occfusion.files.unpickle import load_pickle
+
+PATH = "img_path"
 
 
 class ChompScene(Scene):
@@ -71,7 +74,7 @@ class ChompScene(Scene):
             self.remarks = (
                 f"{self._file}, {sequence}: the people {', '.join(map(str, sorted(others)))} are annotated beside "
                 f"person {key}; masks must show {key} alone. If their values are the people's ids, set "
-                "dataset.numbered_masks=true and dataset.person.",
+                f"dataset.numbered_masks=true dataset.person={key} (in check: --numbered-masks --person {key}).",
             )
         self._rigs = [self._rig(camera) for camera in range(len(cameras))]
 
@@ -116,28 +119,50 @@ class ChompScene(Scene):
         )
 
 
-def sequence_name(cameras: Any) -> str:
-    """Returns the name of a sequence: the folder above its first camera's in the pictures' paths."""
-    parts = PurePosixPath(str(cameras[0][0].get("img_path", ""))).parts
+def sequence_name(path: object) -> str:
+    """Returns the name of a picture's sequence: the folder above its camera's; empty where the path has none."""
+    parts = PurePosixPath(str(path)).parts
     return parts[-3] if len(parts) >= 3 else ""
 
 
 def sequence_names(folder: Path) -> list[str]:
     """Returns the names of all sequences in the annotations of a folder, in order."""
-    return [name for _, name, _ in _all(folder)]
+    return [name for _, _, name, _ in _all(folder, None)]
 
 
-def _all(folder: Path) -> Iterator[tuple[Path, str, list[list[Mapping[str, Any]]]]]:
+Sequence = list[list[Mapping[str, Any]]]
+"""Cameras of frames."""
+
+
+def _all(folder: Path, wanted: str | None) -> Iterator[tuple[Path, int, str, Sequence]]:
+    """Yields file, place in it, name and frames of all sequences; frames not wanted have nothing but a path."""
     for file in (folder / "annot" / "train.pkl", folder / "annot" / "test.pkl"):
         if file.is_file():
-            for number, cameras in enumerate(_sequences(load_pickle(file), file)):
-                yield file, sequence_name(cameras) or f"{file.stem}/{number}", cameras
+            for number, cameras in enumerate(_sequences(load_thinned(file, _dropping_all_but(wanted)), file)):
+                name = sequence_name(cameras[0][0].get(PATH, "")) or f"{file.stem}/{number}"
+                yield file, number, name, cameras
 
 
-def _find(folder: Path, sequence: str) -> tuple[Path, list[list[Mapping[str, Any]]]]:
+def _dropping_all_but(wanted: str | None) -> Thin:
+    """Returns what drops the frames of all other sequences; where the path names none, the frame is kept."""
+    stands: dict[str, dict[str, str]] = {}
+
+    def thin(frame: dict[Any, Any]) -> object | None:
+        path = frame.get(PATH)
+        if not isinstance(path, str) or sequence_name(path) in ("", wanted):
+            return None
+        return stands.setdefault(path.rpartition("/")[0], {PATH: path})  # one for each folder of pictures
+
+    return thin
+
+
+def _find(folder: Path, sequence: str) -> tuple[Path, Sequence]:
     names: list[str] = []
-    for file, name, cameras in _all(folder):
+    for file, number, name, cameras in _all(folder, sequence):
         if sequence == name:
+            if any(frame.keys() == {PATH} for frames in cameras for frame in frames):
+                # pictures of one sequence lie in folders of several names: rare, and then everything is read
+                cameras = _sequences(load_pickle(file), file)[number]
             return file, cameras
         names.append(name)
     if not names:

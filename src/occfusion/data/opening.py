@@ -21,6 +21,8 @@ def open_folder(
     masks: str | None = None,
     sequence: str | None = None,
     person: int | None = None,
+    *,
+    numbered: bool = False,
 ) -> tuple[str, Scene]:
     """Returns the layout's name and the reader of a sequence.
 
@@ -30,6 +32,7 @@ def open_folder(
         masks: mask folder, the layout's own when None.
         sequence: which one, where the folder holds several (`chomp`).
         person: which one, where the files tell people apart.
+        numbered: masks hold the people's ids (`chomp`; elsewhere `person` says it).
 
     Raises:
         DataError: no known layout, or its files are missing, damaged or inconsistent.
@@ -46,8 +49,9 @@ def open_folder(
         case "chomp":
             if sequence is None:
                 raise ConfigError(
-                    f"{folder}: holds several sequences; name one of {', '.join(sequence_names(folder))[:400]}."
+                    f"{folder}: holds several sequences; name one (--scene here, dataset.scene in training) of "
+                    f"{', '.join(sequence_names(folder))[:400]}."
                 )
-            return layout, ChompScene(folder, sequence, pelvis, masks or "mask", person)
+            return layout, ChompScene(folder, sequence, pelvis, masks or "mask", person, numbered=numbered)
         case _:
             return layout, ZjuScene(folder, pelvis, masks or "mask", refined=layout == "refined")

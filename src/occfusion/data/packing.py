@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.data.lens import Lens
+from occfusion.data.people import read_people
 from occfusion.data.scene import PictureFiles
-from occfusion.data.silhouette import Hidden, bounding_box
+from occfusion.data.silhouette import Hidden, Silhouette, bounding_box
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.types import Box
@@ -34,7 +35,7 @@ class Packed:
         whole: the unoccluded picture inside the box, black outside the complete mask; None if not known.
         visible: bits of the visible mask inside the box.
         complete: bits of the complete mask inside the box.
-        hidden: bits of the occluded pixels of the whole frame; None where nothing is occluded.
+        hidden: bits of the occluded pixels of the whole frame, other people's included; None where nothing is.
         certain: whether `hidden` is all that is occluded; not where real occluders are unknown.
     """
 
@@ -115,21 +116,26 @@ def pack(
     Raises:
         DataError: a file is missing or damaged, or its size is not that of the camera's other pictures.
     """
-    observed = np.logical_or.reduce([_read_mask(path, lens, files.label) for path in files.masks])
+    observed, hiders = read_people(files)
+    _check_size(observed.shape, files.masks[0], lens)
+    crowded = files.complete_mask is None and bool(hiders.any())
+    unknown = files.truth_unknown or crowded
     whole_path: Path | None
     if files.complete_mask is None:  # nothing stood before the person, or nobody knows what it hid
-        whole_path, whole_mask = (None if files.truth_unknown else files.rgb), observed
+        whole_path, whole_mask = (None if unknown else files.rgb), observed
     else:
-        whole_path, whole_mask = files.complete_rgb, _read_mask(files.complete_mask, lens, None)
+        whole_path, whole_mask = files.complete_rgb, _read_mask(files.complete_mask, lens)
     whole = None if whole_path is None else _cut(whole_path, whole_mask, lens)
     complete = lens.mask(whole_mask)
-    if clean and whole is None and not files.truth_unknown:
+    if clean and whole is None and not unknown:
         raise DataError(f"{files.rgb}: a held-out view needs the picture without its occluder beside it.")
     seen, visible, hidden = None, complete, None
-    if files.truth_unknown or (not clean and files.complete_mask is not None):
+    if unknown or (not clean and files.complete_mask is not None):
         seen, visible = _cut(files.rgb, observed, lens), lens.mask(observed)
     if not clean and files.complete_mask is not None:
         hidden = complete & ~visible
+    if crowded:  # where others stand is known, but not what of the person is behind them
+        hidden = lens.hidden(Silhouette.of(hiders)) & ~visible
     if hidden_part is not None:
         simulated = lens.hidden(hidden_part)
         hidden = simulated if hidden is None else hidden | simulated
@@ -149,8 +155,8 @@ def pack(
     )
 
 
-def _read_mask(path: Path, lens: Lens, label: int | None) -> Mask:
-    mask = read_mask(path, label=label)
+def _read_mask(path: Path, lens: Lens) -> Mask:
+    mask = read_mask(path)
     _check_size(mask.shape, path, lens)
     return mask
 

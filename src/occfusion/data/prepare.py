@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from occfusion.data import protocol, survey
 from occfusion.data.occlusion import OcclusionSettings, plan
-from occfusion.data.scene import Scene
+from occfusion.data.scene import PictureFiles, Scene
 from occfusion.data.silhouette import Hidden
 from occfusion.errors import DataError
+from occfusion.files.images import read_numbers
 
 
 @dataclass(frozen=True)
@@ -64,9 +67,10 @@ class Prepared:
         return tuple((frame, camera) for camera in self.cameras for frame in self.test)
 
     @property
-    def truth_unknown(self) -> bool:
-        """Whether real things may hide parts of the person that no file shows."""
-        return self.scene.files(self.train[0], self.camera).truth_unknown
+    def unknown(self) -> tuple[bool, ...]:
+        """Whether real things or other people may hide parts of the person that no file shows, by frame."""
+        anything = self.scene.files(self.train[0], self.camera).truth_unknown
+        return tuple(anything or person.crowded for person in self.people)
 
     def visible_shares(self) -> list[float]:
         """Returns which share of the known whole person each training frame shows."""
@@ -88,18 +92,14 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
     found = survey.scan_people(scene, wanted, camera)
     shown = [(frame, person) for frame, person in zip(wanted, found, strict=True) if not person.whole.empty]
     if not shown:
-        path = scene.files(wanted[0], camera).masks[0]
-        raise DataError(
-            f"{path}: no person in this mask, nor in the masks of any of the {len(wanted)} training frames. "
-            "Check dataset.masks, dataset.train_camera and dataset.train_frames."
-        )
+        raise DataError(_nobody(scene.files(wanted[0], camera), len(wanted)))
     people = tuple(person for _, person in shown)
     train = tuple(frame for frame, _ in shown)
     result = Prepared(
         scene=scene,
         train=train,
         people=people,
-        hidden=plan(occlusion, [person.whole for person in people], scene.name),
+        hidden=plan(occlusion, [person.whole for person in people], scene.name, train),
         left_out=tuple(frame for frame in wanted if frame not in set(train)),
         test=held_out,
         camera=camera,
@@ -111,3 +111,19 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
             "learn from. Make dataset.occlusion narrower."
         )
     return result
+
+
+def _nobody(files: PictureFiles, frames: int) -> str:
+    """Returns what to say where no training frame shows the person."""
+    path = files.masks[0]
+    if files.label is None:
+        return (
+            f"{path}: no person in this mask, nor in the masks of any of the {frames} training frames. Check "
+            "dataset.masks, dataset.train_camera and dataset.train_frames."
+        )
+    values = [int(value) for value in np.unique(read_numbers(path)) if value]
+    there = f"the values {', '.join(map(str, values[:12]))}" if values else "nobody"
+    return (
+        f"{path}: no person {files.label} in this mask, which has {there}, nor in the masks of any of the {frames} "
+        f"training frames. Give dataset.person the value that the masks have, or check dataset.masks."
+    )

@@ -65,7 +65,10 @@ def held_out_cameras(spec: Sequence[int] | None, train_camera: int, count: int) 
         ConfigError: a camera does not exist or is named twice.
     """
     if isinstance(train_camera, bool) or not isinstance(train_camera, int) or not 0 <= train_camera < count:
-        raise ConfigError(f"dataset.train_camera={train_camera!r}: the scene has the cameras 0..{count - 1}.")
+        raise ConfigError(
+            f"dataset.train_camera={train_camera!r}: the scene has the cameras 0..{count - 1}. Choose one of them; "
+            "where it is not set, dataset.protocol chooses."
+        )
     if spec is None:
         return tuple(camera for camera in range(count) if camera != train_camera)
     if isinstance(spec, str) or not isinstance(spec, Sequence):

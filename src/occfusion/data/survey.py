@@ -8,8 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
+from occfusion.data.people import read_people
 from occfusion.data.scene import Scene
 from occfusion.data.silhouette import Hidden, Silhouette
 from occfusion.errors import DataError
@@ -29,10 +28,12 @@ class Person:
     Attributes:
         whole: the person, with hidden parts where the data set has a complete mask.
         seen: the person in the picture as it was taken.
+        crowded: whether somebody else touches the person, so that it is not known what is behind.
     """
 
     whole: Silhouette
     seen: Silhouette
+    crowded: bool = False
 
     def visible_share(self, hidden: Hidden | None) -> float:
         """Returns which share of the whole person is seen past real and simulated occluders."""
@@ -86,11 +87,11 @@ def scan_people(scene: Scene, frames: Sequence[int], camera: int) -> list[Person
 def look_at_person(scene: Scene, frame: int, camera: int) -> Person:
     """Returns what the masks of one picture show."""
     files = scene.files(frame, camera)
-    masks = [read_mask(path, label=files.label) for path in files.masks]
-    if len({mask.shape for mask in masks}) > 1:
-        raise DataError(f"{files.masks[1]}: its size differs from that of {files.masks[0]}.")
-    seen = Silhouette.of(np.logical_or.reduce(masks))
-    return Person(Silhouette.of(read_mask(files.complete_mask)) if files.complete_mask else seen, seen)
+    person, hiders = read_people(files)
+    seen = Silhouette.of(person)
+    if files.complete_mask is not None:
+        return Person(Silhouette.of(read_mask(files.complete_mask)), seen)
+    return Person(seen, seen, crowded=bool(hiders.any()))
 
 
 def data_hash(scene: Scene, views: Iterable[tuple[int, int]], settings: str) -> str:
@@ -120,9 +121,12 @@ def hidden_boxes(hidden: Iterable[Hidden | None]) -> list[list[int] | None]:
 
 
 def hidden_digest(hidden: Iterable[Hidden | None]) -> str:
-    """Returns a fingerprint of hidden parts that are masks; empty where all are rectangles."""
-    masks = [part for part in hidden if isinstance(part, Silhouette)]
+    """Returns a fingerprint of what is hidden in each frame: settings alone do not say what files hold."""
     digest = hashlib.sha256()
-    for mask in masks:
-        digest.update(repr(mask.box).encode() + mask.bits.tobytes())
-    return digest.hexdigest() if masks else ""
+    for part in hidden:
+        digest.update(
+            repr(part.box).encode() + part.bits.tobytes()
+            if isinstance(part, Silhouette)
+            else repr(part).encode()
+        )
+    return digest.hexdigest()

@@ -128,7 +128,7 @@ def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[st
             "(transposed?), T (millimetres), Rh and Th, and that the body file is the one the "
             f"parameters were fitted with.{_explanation(posed, masks, camera)}"
         )
-    if prepared.truth_unknown:  # what is hidden lowers the IoU of a perfect fit; the rest must be inside
+    if any(prepared.unknown):  # what is hidden lowers the IoU of a perfect fit; the rest must be inside
         if inside >= DOUBTFUL_OVERLAP:
             return []
         return [

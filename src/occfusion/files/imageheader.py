@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -10,6 +11,9 @@ _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """Colour type to channels; 3 is a palette, which decodes to colours."""
 
 _PNG_ESSENTIAL = frozenset((b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"))
+
+_PNG_COLOUR, _PALETTE = 25, 3
+"""Where the colour type stands in a file, and its value for a palette."""
 
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers that carry the size; the three others in their range are tables."""
@@ -65,16 +69,20 @@ def _parse_png(content: bytes) -> ImageHeader:
     )
 
 
-def essential_png(content: bytes) -> bytes:
+def essential_png(content: bytes, *, palette: bool = True) -> bytes:
     """Returns a PNG with only the chunks that make its picture.
 
     A decoder would otherwise believe the declared length of every chunk (gigabytes, in a file of a few
     bytes), a second header, animations, and compressed texts.
 
+    Args:
+        content: the file.
+        palette: False makes the places in a palette grey values.
+
     Raises:
         ValueError: the file ends before its end marker, or has two headers.
     """
-    kept, at = [_PNG_SIGNATURE], len(_PNG_SIGNATURE)
+    kept, at, colours = [_PNG_SIGNATURE], len(_PNG_SIGNATURE), _PNG_ESSENTIAL
     while at + 12 <= len(content):
         length, kind = struct.unpack(">I4s", content[at : at + 8])
         end = at + 12 + length  # length, kind, content, checksum
@@ -82,7 +90,11 @@ def essential_png(content: bytes) -> bytes:
             break
         if (kind == b"IHDR") != (at == len(_PNG_SIGNATURE)):
             raise ValueError("a PNG with a damaged header")
-        if kind in _PNG_ESSENTIAL:
+        if kind == b"IHDR" and not palette and content[_PNG_COLOUR] == _PALETTE:
+            colours = _PNG_ESSENTIAL - {b"PLTE", b"tRNS"}
+            header = content[at + 4 : _PNG_COLOUR] + b"\0" + content[_PNG_COLOUR + 1 : end - 4]
+            kept.append(content[at : at + 4] + header + struct.pack(">I", zlib.crc32(header)))
+        elif kind in colours:
             kept.append(content[at:end])
         if kind == b"IEND":
             return b"".join(kept)

@@ -84,9 +84,7 @@ def read_rgb(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArra
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
-def read_mask(
-    path: Path | str, max_megapixels: float = MAX_MEGAPIXELS, label: int | None = None
-) -> NDArray[np.bool_]:
+def read_mask(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.bool_]:
     """Returns where the person is, bool `[H, W]`.
 
     Rule, on the largest of the colour channels: values up to `MAX_LABEL` are labels, and so is a single
@@ -96,7 +94,6 @@ def read_mask(
     Args:
         path: the file.
         max_megapixels: larger pictures are refused.
-        label: only pixels of exactly this value are the person: masks that number several people.
 
     Raises:
         DataError: as `read_rgb`; or several values besides 0 of which the largest is between labels
@@ -107,8 +104,6 @@ def read_mask(
         image = image[..., :3].max(axis=2)
     if image.dtype == np.uint16 and image.max(initial=0) < 256:
         image = image.astype(np.uint8)  # labels written with 16 bits
-    if label is not None:
-        return np.asarray(image == label)
     image = _to_8_bits(image)
     largest = int(image.max(initial=0))
     if largest <= MAX_LABEL:
@@ -124,8 +119,32 @@ def read_mask(
     )
 
 
-def _decode(path: Path, max_megapixels: float) -> NDArray[Any]:
-    """Returns the picture as OpenCV decodes it: grey, BGR or BGRA, 8 or 16 bits."""
+def read_numbers(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.uint16]:
+    """Returns the values of a mask that numbers several people, uint16 `[H, W]`, 0 being nobody.
+
+    Grey values as they are stored, with 1 to 16 bits; of a palette, the places in it and not its colours.
+
+    Raises:
+        DataError: as `read_rgb`; or the file is a JPEG, which changes values, or its channels differ.
+    """
+    path = Path(path)
+    image = _decode(path, max_megapixels, as_stored=True)
+    if image_header(path).format == "jpeg":
+        raise DataError(f"{path}: a JPEG cannot number people, it changes values; write the masks as PNG.")
+    if image.ndim == 3:
+        if (image[..., :3] != image[..., :1]).any():
+            raise DataError(
+                f"{path}: colours do not number people; write grey or palette PNG files whose values are the ids."
+            )
+        image = image[..., 0]
+    return image.astype(np.uint16)
+
+
+def _decode(path: Path, max_megapixels: float, *, as_stored: bool = False) -> NDArray[Any]:
+    """Returns the picture as OpenCV decodes it: grey, BGR or BGRA, 8 or 16 bits.
+
+    With `as_stored`, grey values of less than 8 bits are not spread over 0..255, and palettes are not looked up.
+    """
     content = read_bytes(path, MAX_FILE_BYTES)
     try:
         header = parse_header(content)
@@ -147,7 +166,7 @@ def _decode(path: Path, max_megapixels: float) -> NDArray[Any]:
         raise DataError(f"{path}: the picture is cut short; get the file again.")
     try:
         if header.format == "png":
-            content = essential_png(content)
+            content = essential_png(content, palette=not as_stored)
         image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except ValueError as error:
         raise DataError(f"{path}: {error}; get the file again.") from None
@@ -157,6 +176,8 @@ def _decode(path: Path, max_megapixels: float) -> NDArray[Any]:
         raise DataError(f"{path}: cannot be decoded; the file is damaged, get it again.")
     if image.dtype not in (np.uint8, np.uint16):
         raise DataError(f"{path}: {image.dtype} pixels; use 8 or 16 bits.")
+    if as_stored and header.bits < 8:
+        image = image // (255 // ((1 << header.bits) - 1))
     return np.asarray(image)
 
 

@@ -41,18 +41,20 @@ _FOREIGN_OPCODES = {
 }
 
 
-class _DataUnpickler(pickle._Unpickler):
+class DataUnpickler(pickle._Unpickler):
     """The interpreter in Python (not C), because there each opcode can be replaced.
 
-    Its memo is a dict, so that a huge memo index costs nothing, and it reads from memory, so that a
-    declared length beyond the end of the file allocates nothing.
+    Its memo is a dict, so that a huge memo index costs nothing. The stream must not reserve memory for a declared
+    length beyond its end: `io.BytesIO` does not, a file does.
     """
 
+    stack: list[Any]
+    metastack: list[list[Any]]
     dispatch: ClassVar[dict[int, Any]] = dict(pickle._Unpickler.dispatch)
 
-    def __init__(self, content: bytes) -> None:
-        super().__init__(io.BytesIO(content), fix_imports=False, encoding="latin1")
-        self._array_budget = _COPY_ALLOWANCE * len(content) + (1 << 20)
+    def __init__(self, stream: Any, size: int) -> None:
+        super().__init__(stream, fix_imports=False, encoding="latin1")
+        self._array_budget = _COPY_ALLOWANCE * size + (1 << 20)
 
     def find_class(self, module: str, name: str) -> Global:
         """Returns the stand-in of a permitted name.
@@ -80,6 +82,12 @@ class _DataUnpickler(pickle._Unpickler):
             self._array_budget -= sum(len(p) for p in parts if isinstance(p, (bytes, bytearray, str)))
         if self._array_budget < 0:
             raise NotData("arrays that together are far larger than the file")
+
+    def extend(self, target: Any, items: list[Any]) -> None:
+        """Appends items, whole and ready, to a list that is being built."""
+        if not isinstance(target, list):
+            raise NotData(f"elements for {type(target).__name__}")
+        target.extend(items)
 
 
 def _reduce(machine: Any) -> None:
@@ -126,20 +134,14 @@ def _dict(machine: Any) -> None:
     machine.append(target)
 
 
-def _extend(target: Any, items: list[Any]) -> None:
-    if not isinstance(target, list):
-        raise NotData(f"elements for {type(target).__name__}")
-    target.extend(items)
-
-
 def _append(machine: Any) -> None:
     item = machine.stack.pop()
-    _extend(machine.stack[-1], [item])
+    machine.extend(machine.stack[-1], [item])
 
 
 def _appends(machine: Any) -> None:
     items = machine.pop_mark()
-    _extend(machine.stack[-1], items)
+    machine.extend(machine.stack[-1], items)
 
 
 def _byte_array(machine: Any) -> None:
@@ -156,8 +158,8 @@ def _refusal(what: str) -> Callable[[Any], None]:
     return refuse
 
 
-_DataUnpickler.dispatch.update({op[0]: _refusal(what) for op, what in _FOREIGN_OPCODES.items()})
-_DataUnpickler.dispatch.update(
+DataUnpickler.dispatch.update({op[0]: _refusal(what) for op, what in _FOREIGN_OPCODES.items()})
+DataUnpickler.dispatch.update(
     {
         pickle.REDUCE[0]: _reduce,
         pickle.NEWOBJ[0]: _new_object,
@@ -195,8 +197,17 @@ def loads(content: bytes, source: str) -> Any:
     Raises:
         DataError: it names something outside the table, or is damaged. Nothing has been executed.
     """
+    return explained(lambda: DataUnpickler(io.BytesIO(content), len(content)).load(), source)
+
+
+def explained(read: Callable[[], Any], source: str) -> Any:
+    """Returns the resolved data of what `read` unpickles; its errors become ours.
+
+    Raises:
+        DataError: as `loads`.
+    """
     try:
-        return resolve(_DataUnpickler(content).load())
+        return resolve(read())
     except NotData as refusal:
         raise DataError(
             f"{source}: not allowed: {refusal}. The file asks for more than arrays, numbers and text; "
@@ -225,11 +236,22 @@ def read_bytes(path: Path, limit: int) -> bytes:
         DataError: it is missing, not a file, too large, or cannot be read.
     """
     try:
-        if not path.is_file():
-            raise DataError(f"{path}: file not found." if not path.exists() else f"{path}: is not a file.")
-        size = path.stat().st_size
-        if size > limit:
-            raise DataError(f"{path}: {size} bytes, more than the {limit} that are read into memory.")
+        size_within(path, limit)
         return path.read_bytes()
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error}).") from error
+
+
+def size_within(path: Path, limit: int) -> int:
+    """Returns the size of a regular file, which must have at most `limit` bytes.
+
+    Raises:
+        DataError: it is missing, not a file, or too large.
+        OSError: it cannot be looked at.
+    """
+    if not path.is_file():
+        raise DataError(f"{path}: file not found." if not path.exists() else f"{path}: is not a file.")
+    size = path.stat().st_size
+    if size > limit:
+        raise DataError(f"{path}: {size} bytes, more than the {limit} that are read.")
+    return size

@@ -43,14 +43,25 @@ class Checkpointing(L.Callback):
         self._saved_step = -1
 
     def save(self, trainer: L.Trainer, stage: Stage) -> None:
-        """Writes the checkpoint of the step just finished; saving the same step twice does nothing."""
+        """Writes the checkpoint of the step just finished; saving the same step twice does nothing.
+
+        Raises:
+            CheckpointError: the disk refuses; the checkpoint before stays.
+        """
         if trainer.global_step == self._saved_step:
             return
         with stage.clock.paused():
             self.path.parent.mkdir(parents=True, exist_ok=True)
             partial = self.path.with_suffix(".partial")
-            trainer.save_checkpoint(partial)
-            os.replace(partial, self.path)
+            try:
+                trainer.save_checkpoint(partial)
+                os.replace(partial, self.path)
+            except OSError as error:
+                partial.unlink(missing_ok=True)
+                raise CheckpointError(
+                    f"{self.path}: cannot be written ({error.strerror or error}); make room, then the same command "
+                    "continues from the checkpoint before"
+                ) from error
         self._saved_step = trainer.global_step
 
     def on_train_batch_end(self, trainer: L.Trainer, pl_module: L.LightningModule, *_: Any) -> None:

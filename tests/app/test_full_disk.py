@@ -1,0 +1,82 @@
+"""A disk that fills up while masks or checkpoints are written: a named error, and nothing half is used later."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import pytest
+
+from app.test_init import CountingPrior, Make, run
+from app.test_init import body as body
+from app.test_init import data as data
+from app.test_init import make as make
+from app.test_init import moments as moments
+from app.test_run import assert_same, parameters
+from occfusion.data.zju import ZjuDataModule
+from occfusion.errors import CheckpointError, DataError
+
+Train = Callable[..., tuple[Path, dict[str, Any]]]
+
+
+def full(*_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("writes", [0, 1, 2, 9])
+def test_masks(make: Make, data: ZjuDataModule, monkeypatch: pytest.MonkeyPatch, writes: int) -> None:
+    """Uncertainty, mask and manifest of a frame are a write each; the disk is full from the given one on."""
+    stage = make(CountingPrior(0.7), smoothing=0.0)
+    run(stage, data)
+    wanted = {path.name: path.read_bytes() for path in stage.folder.glob("*.png")}
+    shutil.rmtree(stage.folder)
+    left, sync = [writes], os.replace
+
+    def replace(source: str, target: Path) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            full()
+        sync(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", replace)
+        with pytest.raises(DataError, match=r"masks.*cannot be written .No space left"):
+            run(make(CountingPrior(0.7), smoothing=0.0), data)
+    assert not [path for path in stage.folder.rglob("*") if path.name.endswith(".partial")]
+    again = make(CountingPrior(0.7), smoothing=0.0)
+    assert len(again.records) == writes // 3  # only what the manifest vouches for
+    run(again, data)
+    assert {path.name: path.read_bytes() for path in stage.folder.glob("*.png")} == wanted
+
+
+def test_checkpoints(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = (
+        "optim.steps=5",
+        "trainer.checkpoint_every=2",
+        "evaluation.held_out=false",
+        "evaluation.curve=false",
+    )
+    whole, _ = train(*options, folder="whole")
+    save, saved = L.Trainer.save_checkpoint, []
+
+    def save_once(self: L.Trainer, path: Path, *rest: Any, **more: Any) -> None:
+        saved.append(self.global_step)
+        if len(saved) > 1:
+            Path(path).write_bytes(b"half of a checkpoint")
+            full()
+        save(self, path, *rest, **more)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(L.Trainer, "save_checkpoint", save_once)
+        with pytest.raises(CheckpointError, match=r"last\.ckpt: cannot be written .No space left"):
+            train(*options, folder="parts")
+    assert saved == [2, 4]
+    parts = whole.with_name("parts") / "optim"
+    assert [path.name for path in parts.iterdir()] == ["last.ckpt"]
+    train(*options, folder="parts")
+    assert_same(parameters(whole), parameters(parts.parent))
