@@ -28,7 +28,7 @@ from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior, make_score_prior
 from occfusion.render import render_frame
 from occfusion.report import write_report
-from occfusion.runfolder import claim_run_folder
+from occfusion.runfolder import at_work, claim_run_folder
 from occfusion.splat import resolve_backend
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.curve import ErrorCurve
@@ -79,6 +79,13 @@ def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[P
         done = run_prior_training(settings, folder_chosen_by_user=folder_chosen_by_user)
         return Path(settings.output_dir), done
     run_ = _compose(settings, folder_chosen_by_user)
+    with at_work(run_.folder):
+        return _run_stages(run_)
+
+
+def _run_stages(run_: Run) -> tuple[Path, dict[str, Any]]:
+    """Runs the stages that are asked for, evaluates and reports; returns the folder and `metrics.json`."""
+    settings = run_.settings
     if (finished := finished_in(run_.folder, settings, run_.data_hash)) is not None:
         record_finished(run_.folder, settings, run_.data_hash)  # where the files lie now
         print_summary(run_.folder, finished.metrics)
