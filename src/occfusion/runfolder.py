@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import metadata
@@ -20,7 +21,7 @@ import torch
 from omegaconf import OmegaConf
 
 import occfusion
-from occfusion.config import Settings, settings_hash
+from occfusion.config import STAGES, Settings, settings_hash
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes, json_bytes, write_bytes, write_json
 from occfusion.files.lock import Taken, only_one
@@ -35,6 +36,9 @@ MARKER = "environment.json"
 MARKER_PATIENCE = 1.0
 """Seconds in which a marker that another process is writing may still be empty (disks without links)."""
 LOCK = ".at_work"
+TRIAL_SUFFIX = "-trial"
+TAKEN_OVER = (*STAGES, "masks", "inpainted", "metrics.json", "error_vs_time.csv")
+"""What a later call on the same folder would take over instead of doing it."""
 
 
 def claim_run_folder(settings: Settings, data_hash: str, *, chosen_by_user: bool) -> Path:
@@ -44,10 +48,16 @@ def claim_run_folder(settings: Settings, data_hash: str, *, chosen_by_user: bool
     named is refused instead, since scripts look into the folder that they name. Of several processes that ask for
     one folder with different settings at the same time, exactly one gets it.
 
+    A trial (`trainer.fast_dev_run`) goes beside the default folder, under its name with `-trial`, so that the whole
+    run finds its own free; what an earlier trial with the same settings left there is removed, since a trial that
+    took a result over would try nothing.
+
     Raises:
         ConfigError: the named folder holds another run, or cannot be written.
     """
-    wanted = Path(settings.output_dir)
+    wanted, is_trial = Path(settings.output_dir), settings.trainer.fast_dev_run
+    if is_trial and not chosen_by_user:
+        wanted = wanted.with_name(wanted.name + TRIAL_SUFFIX)
     description = {
         "identity": {"settings": settings_hash(settings), "data": data_hash},
         **describe_environment(),
@@ -56,6 +66,8 @@ def claim_run_folder(settings: Settings, data_hash: str, *, chosen_by_user: bool
         folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
         try:
             if _claim(folder, settings, description):
+                if is_trial:
+                    _forget(folder)
                 return folder
         except OSError as error:
             raise ConfigError(f"output_dir={folder} cannot be written: {error.strerror}") from error
@@ -100,6 +112,17 @@ def _claim(folder: Path, settings: Settings, description: dict[str, Any]) -> boo
     write_bytes(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(asdict(settings))).encode())
     write_json(marker, description)
     return True
+
+
+def _forget(folder: Path) -> None:
+    """Removes what an earlier trial left, unless that one is at work still."""
+    with suppress(Taken), only_one(folder / LOCK, wait=False):
+        for name in TAKEN_OVER:
+            path = folder / name
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
 
 
 def _is_unfinished(path: Path) -> bool:
