@@ -29,7 +29,7 @@ from occfusion.priors.registry import check_score_prior, make_score_prior
 from occfusion.render import render_frame
 from occfusion.report import write_report
 from occfusion.runfolder import at_work, claim_run_folder
-from occfusion.splat import resolve_backend
+from occfusion.splat import resolve_backend, warm_up
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.curve import ErrorCurve
 from occfusion.stages.distil import Distiller
@@ -38,6 +38,9 @@ from occfusion.stages.optim import OptimStage
 from occfusion.stages.progress import ProgressLine
 from occfusion.tables import print_summary
 from occfusion.types import Frame, Rendering
+
+WARM_UP_SAID = 0.05
+"""Seconds from which on the user is told of the rasteriser's warming up."""
 
 
 @dataclass
@@ -168,6 +171,7 @@ def _run_stage(run_: Run, name: str) -> None:
         print(f"{name}: finished before, taken from {folder}")
         run_.avatar = load_avatar(finished, run_.avatar.body)
         return
+    _warm_up(run_, name)
     stage = OptimStage(
         run_.avatar,
         settings.optim,
@@ -192,6 +196,15 @@ def _run_stage(run_: Run, name: str) -> None:
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(folder / "last.ckpt"))
     _hand_over(run_, folder, stage.clock.seconds, trainer.global_step)
+
+
+def _warm_up(run_: Run, stage: str) -> None:
+    """Compiles what the first step would wait for, so that the first run on a machine trains no longer than others."""
+    seconds = warm_up(run_.backend, _device(run_.settings))
+    if seconds >= WARM_UP_SAID:
+        print(
+            f"{stage}: rasteriser {run_.backend} ready after {seconds:.1f} s, before the training clock starts"
+        )
 
 
 def _make_densifier(settings: Settings) -> Densifier | None:
