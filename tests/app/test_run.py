@@ -253,3 +253,18 @@ def test_finished_run_is_taken_over_until_it_is_asked_for_again(train: Train) ->
     stamp = (folder / "metrics.json").stat().st_mtime_ns
     train("variant=A", "optim.steps=2", "evaluation.training_stride=8", "evaluation.again=true")
     assert (folder / "metrics.json").stat().st_mtime_ns != stamp
+
+
+def test_a_run_reports_the_error_of_depth_where_the_surface_is_known(
+    train: Callable[..., tuple[Path, dict[str, Any]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, metrics = train("optim.steps=2")
+    full = metrics["regions"]["full"]
+    assert 2 < full["depth_error_mm"] < 60  # Gaussians on the naked body under clothes
+    assert full["depth_images"] == full["images"] == 4
+    assert metrics["regions"]["visible"]["depth_error_mm"] > 0
+    with (folder / "per_image.csv").open() as file:
+        values = [row["depth_error_mm"] for row in csv.DictReader(file) if row["region"] == "full"]
+    assert full["depth_error_mm"] == pytest.approx(sum(map(float, values)) / len(values))
+    assert "depth error mm" in (folder / "report.md").read_text()
+    assert "depth" in capsys.readouterr().out

@@ -196,7 +196,9 @@ def test_summary_counts_every_image_once_and_leaves_out_what_is_missing():
         "lpips": None,
         "mask_iou": None,
         "images": 0,
+        "depth_error_mm": None,
         "lpips_images": 0,
+        "depth_images": 0,
         "psnr_capped": 0,
     }
     assert summary["hidden"] == summary["box"] == empty
