@@ -31,8 +31,8 @@ from occfusion.recipes.appearance import Coarse, CoarseScene
 from occfusion.refine_run import file_digest, make_references
 from occfusion.render import render_frame
 from occfusion.report import write_report
-from occfusion.runfolder import claim_run_folder
-from occfusion.splat import resolve_backend
+from occfusion.runfolder import at_work, claim_run_folder
+from occfusion.splat import resolve_backend, warm_up
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.curve import ErrorCurve
@@ -44,6 +44,9 @@ from occfusion.stages.refine import RefineStage
 from occfusion.stages.settings import AvatarSettings, SdsSettings
 from occfusion.tables import print_summary
 from occfusion.types import Frame, Rendering
+
+WARM_UP_SAID = 0.05
+"""Seconds from which on the user is told of the rasteriser's warming up."""
 
 
 @dataclass
@@ -90,6 +93,13 @@ def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[P
         done = run_prior_training(settings, train, folder_chosen_by_user=folder_chosen_by_user)
         return Path(settings.output_dir), done
     run_ = _compose(settings, folder_chosen_by_user)
+    with at_work(run_.folder):
+        return _run_stages(run_)
+
+
+def _run_stages(run_: Run) -> tuple[Path, dict[str, Any]]:
+    """Runs the stages that are asked for, evaluates and reports; returns the folder and `metrics.json`."""
+    settings = run_.settings
     if (finished := finished_in(run_.folder, settings, run_.data_hash)) is not None:
         record_finished(run_.folder, settings, run_.data_hash)  # where the files lie now
         print_summary(run_.folder, finished.metrics)
@@ -180,6 +190,7 @@ def _run_stage(run_: Run, name: str) -> None:
         print(f"{name}: finished before, taken from {folder}")
         run_.avatar = load_avatar(finished, run_.avatar.body)
         return
+    _warm_up(run_, name)
     stage, seconds_before = _optim_stage(run_) if name == "optim" else _refine_stage(run_)
     guard = SignalGuard()
     callbacks: list[L.Callback] = [guard]
@@ -260,6 +271,15 @@ def _train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coars
     positions = range(len(run_.data.train_indices))
     frames = [run_.data.train_frame(k, complete="init" in run_.stages) for k in positions]
     return Coarse(run_.avatar.eval(), frames, run_.moments, run_.backend)
+
+
+def _warm_up(run_: Run, stage: str) -> None:
+    """Compiles what the first step would wait for, so that the first run on a machine trains no longer than others."""
+    seconds = warm_up(run_.backend, _device(run_.settings))
+    if seconds >= WARM_UP_SAID:
+        print(
+            f"{stage}: rasteriser {run_.backend} ready after {seconds:.1f} s, before the training clock starts"
+        )
 
 
 def _make_densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | None:

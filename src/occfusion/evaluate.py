@@ -12,11 +12,20 @@ from torch import Tensor
 
 from occfusion.errors import ConfigError
 from occfusion.files.table import write_table
-from occfusion.metrics import OCCUPIED, PSNR_CAP, mask_iou, padded_box, psnr, ssim, ssim_over_black
+from occfusion.metrics import (
+    OCCUPIED,
+    PSNR_CAP,
+    depth_error,
+    mask_iou,
+    padded_box,
+    psnr,
+    ssim,
+    ssim_over_black,
+)
 from occfusion.perceptual import PerceptualMetric
 from occfusion.types import Box, Frame, Rendering
 
-METRICS = ("psnr", "ssim", "lpips", "mask_iou")
+METRICS = ("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm")
 REGIONS = ("full", "box", "visible", "hidden")
 
 
@@ -33,6 +42,7 @@ class ImageRow:
         ssim: mean over the region.
         lpips: the perceptual metric that was given, whatever its name.
         mask_iou: of alpha > 0.5 with the person's mask.
+        depth_error_mm: mean absolute error of depth where alpha > 0.5 and the true surface is.
     """
 
     frame: int
@@ -43,6 +53,7 @@ class ImageRow:
     ssim: float | None = None
     lpips: float | None = None
     mask_iou: float | None = None
+    depth_error_mm: float | None = None
 
 
 @torch.inference_mode()
@@ -84,7 +95,10 @@ def evaluate_image(
     scores = []
     for region in regions:
         comparison = _comparison(region, frame, rgb.device)
-        figures = {} if comparison is None else _figures(comparison, rgb, alpha > OCCUPIED, perceptual)
+        figures: dict[str, Any] = {}
+        if comparison is not None:
+            figures = _figures(comparison, rgb, alpha > OCCUPIED, perceptual)
+            figures["depth_error_mm"] = _depth_error(comparison, frame, rendering)
         scores.append(ImageRow(frame.index, frame.camera_index, region, **figures))
     return scores
 
@@ -171,11 +185,21 @@ def _figures(
     }
 
 
+def _depth_error(comparison: _Comparison, frame: Frame, rendering: Rendering) -> float | None:
+    if frame.truth is None or frame.truth.depth is None:
+        return None
+    where = rendering.alpha > OCCUPIED
+    pixels = comparison.domain if comparison.pixels is None else comparison.pixels
+    if pixels is not None:
+        where = where & pixels
+    return depth_error(rendering.depth, frame.truth.depth.to(where.device), where)
+
+
 def summarise(rows: Iterable[ImageRow]) -> dict[str, dict[str, float | int | None]]:
     """Returns the mean over images of every metric in every region, None where no image has it.
 
-    Beside the metrics: `images`, how many had the region, `lpips_images`, how many of these have a perceptual
-    figure, and `psnr_capped`, how many reached the PSNR cap.
+    Beside the metrics: `images`, how many had the region, `lpips_images` and `depth_images`, how many of these have
+    a perceptual figure and one of depth, and `psnr_capped`, how many reached the PSNR cap.
     """
     rows = [row for row in rows if row.pixels > 0]
     return {region: _mean([row for row in rows if row.region == region]) for region in REGIONS}
@@ -188,6 +212,7 @@ def _mean(rows: list[ImageRow]) -> dict[str, float | int | None]:
         result[metric] = sum(values) / len(values) if values else None
     result["images"] = len(rows)
     result["lpips_images"] = sum(row.lpips is not None for row in rows)
+    result["depth_images"] = sum(row.depth_error_mm is not None for row in rows)
     result["psnr_capped"] = sum(row.psnr is not None and row.psnr >= PSNR_CAP for row in rows)
     return result
 

@@ -18,7 +18,7 @@ from occfusion.priors.masks import MaskPrior
 from occfusion.priors.moments import Moment, look
 from occfusion.priors.registry import make_mask_prior
 from occfusion.priors.truth import TruthMasks
-from occfusion.sharing import discard, offer, shared_folder, take
+from occfusion.sharing import discard, offer, shared_folder, sole_maker, take
 from occfusion.stages.framewise import predict_frames
 from occfusion.stages.init import InitStage, mask_path
 from occfusion.stages.interruption import Interrupted
@@ -48,57 +48,61 @@ def run_init(
         Interrupted: a signal stopped it; what is written stays.
     """
     masks = folder / "masks"
-    started = time.monotonic()
 
     def read(position: int) -> Frame:
         return data.train_frame(position, truth=False)
 
     prior = _make_prior(settings, data, device)
     stage = InitStage(prior, body, moments, read, settings.init, masks, {"data": data_hash})
-    wanted = stage.wanted
-    if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
-        wanted = [k for k in wanted if k == data.position_at(0)]
     record = folder / "init" / "stage.json"
-    shared = shared_folder(folder, settings.shared_dir, "init", stage.identity)
-    if wanted and not settings.trainer.fast_dev_run and _taken(stage, shared, record):
-        wanted = []
-    if wanted and settings.init.calibrate and settings.init.source == "prior":
-        stage.calibration = calibrate(prior, moments, read, body)
-    if wanted:
-        signal = predict_frames(stage, read, wanted, progress=settings.trainer.enable_progress_bar)
-        if signal is not None and stage.wanted:
-            raise Interrupted(signal, str(stage.folder))
-    if settings.trainer.fast_dev_run or (not wanted and record.is_file()):
-        data.use_complete_masks(lambda frame: mask_path(masks, frame))
-        return
+
+    def complete(wanted: Sequence[int]) -> None:
+        if wanted and settings.init.calibrate and settings.init.source == "prior":
+            stage.calibration = calibrate(prior, moments, read, body)
+        if wanted:
+            signal = predict_frames(stage, read, wanted, progress=settings.trainer.enable_progress_bar)
+            if signal is not None and stage.wanted:
+                raise Interrupted(signal, str(stage.folder))
+
+    if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
+        complete([k for k in stage.wanted if k == data.position_at(0)])
+    elif stage.wanted or not record.is_file():
+        shared = shared_folder(folder, settings.shared_dir, "init", stage.identity)
+        with sole_maker(shared, "init"):
+            wanted = stage.wanted
+            if not (wanted and _taken(stage, shared, record)):
+                started = time.monotonic()
+                complete(wanted)
+                _finish(stage, record, started)
+                offer(shared, masks, record)
+    data.use_complete_masks(lambda frame: mask_path(masks, frame))
+
+
+def _finish(stage: InitStage, record: Path, started: float) -> None:
+    """Writes what came of the stage; the record says "done"."""
     consistency = stage.consistency()
     stage.write_manifest(consistency=consistency)
     completed = sum(r["status"].startswith("completed") for r in stage.records.values())
     record.parent.mkdir(parents=True, exist_ok=True)
-    seconds = time.monotonic() - started
+    seconds, frames = time.monotonic() - started, len(stage.moments)
     write_json(
         record,
-        {
-            "train_seconds": seconds,
-            "completed": completed,
-            "frames": len(moments),
-            "consistency": consistency,
-        },
+        {"train_seconds": seconds, "completed": completed, "frames": frames, "consistency": consistency},
     )
-    offer(shared, masks, record)
     print(
-        f"init: {completed} of {len(moments)} masks completed in {seconds:.1f} s"
+        f"init: {completed} of {frames} masks completed in {seconds:.1f} s"
         + ("" if consistency is None else f", consistency {consistency:.3f} (warped IoU)")
     )
-    data.use_complete_masks(lambda frame: mask_path(masks, frame))
 
 
 def _taken(stage: InitStage, shared: Path, record: Path) -> bool:
     """Takes over shared masks, if there are any for all frames; returns whether it did."""
+    if not shared.is_dir():
+        return False
     made = take(shared, stage.folder)
     stage.read_again()
     if made is None or stage.wanted:
-        discard(shared)  # incomplete, if it is there at all: what is computed now takes its place
+        discard(shared)  # incomplete: what is computed now takes its place
         return False
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, {**made, "shared": str(shared)})

@@ -78,6 +78,20 @@ def mask_iou(a: Tensor, b: Tensor, within: Tensor | None = None) -> float | None
     return None if size == 0 else int(intersection.sum()) / size
 
 
+def depth_error(depth: Tensor, truth: Tensor, where: Tensor) -> float | None:
+    """Returns the mean absolute error of depth in millimetres; None for no pixels.
+
+    Args:
+        depth: metres, `[H, W]`.
+        truth: metres, `[H, W]`; pixels where it is not finite do not count.
+        where: bool `[H, W]`, the pixels that count.
+    """
+    where = where & truth.isfinite()
+    if not where.any():
+        return None
+    return 1000.0 * float((depth[where].double() - truth[where].double()).abs().mean())
+
+
 def padded_box(mask: Tensor, padding: int | None = None) -> Box | None:
     """Returns the padded bounding box of a mask, cut to the picture; None for an empty mask.
 

@@ -87,7 +87,8 @@ def _make_inpainter(settings: Settings, data: HumanDataModule, device: torch.dev
     for frame in data.train_frames():
         if frame.truth is None:
             raise ConfigError(
-                f"refine.source=truth: this data set does not know what is hidden in {frame.name}; use refine.source=prior"
+                f"refine.source=truth: this data set does not know what is hidden in {frame.name}; use "
+                "refine.source=prior"
             )
         known[frame.name] = frame.truth.rgb.numpy()
     return TruthPictures(known)

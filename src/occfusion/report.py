@@ -11,7 +11,7 @@ from typing import Any
 
 from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_bytes
-from occfusion.tables import METRICS, figure, heading
+from occfusion.tables import METRICS, figure, figures_known, heading
 
 REGION_NOTES = {
     "full": "held-out cameras, whole frame over black",
@@ -99,14 +99,14 @@ def _head(metrics: Mapping[str, Any]) -> str:
 
 def _figures(metrics: Mapping[str, Any]) -> str:
     name = metrics["perceptual_metric"]
-    rows, capped = [], 0
+    rows, capped, shown = [], 0, figures_known(metrics)
     for region, values in metrics["regions"].items():
         note = REGION_NOTES.get(region, "")
         images = values.get("images")
         capped += values.get("psnr_capped", 0)
-        cells = [figure(metric, values[metric]) for metric in METRICS]
+        cells = [figure(metric, values.get(metric)) for metric in shown]
         rows.append([f"{region}: {note}", "-" if images is None else str(images), *cells])
-    table = markdown_table(["region", "images", *(heading(metric, name) for metric in METRICS)], rows)
+    table = markdown_table(["region", "images", *(heading(metric, name) for metric in shown)], rows)
     notes = [
         "A dash is a figure that could not be computed. Every image counts the same; see `per_image.csv`."
     ]

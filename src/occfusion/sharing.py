@@ -8,9 +8,11 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+from occfusion.files.lock import only_one
 
 SHARED = ".shared"
 STAGE_RECORD = "stage.json"
@@ -29,6 +31,22 @@ def shared_folder(run_folder: Path, chosen: str | None, stage: str, identity: Ma
     root = Path(chosen) if chosen is not None else run_folder.parent / SHARED
     key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
     return root / stage / key
+
+
+@contextlib.contextmanager
+def sole_maker(shared: Path, stage: str) -> Iterator[None]:
+    """Lets one run at a time make what is shared; the others wait, and then find it made.
+
+    Args:
+        shared: from `shared_folder`.
+        stage: its name, for the message to whoever waits.
+    """
+
+    def say() -> None:
+        print(f"{stage}: another run is making the same; waiting for it", flush=True)
+
+    with only_one(shared.parent.parent / f".{stage}-{shared.name}.lock", on_wait=say):
+        yield
 
 
 def offer(shared: Path, results: Path, record: Path) -> None:
@@ -74,7 +92,13 @@ def take(shared: Path, results: Path) -> dict[str, Any] | None:
 
 def discard(shared: Path) -> None:
     """Removes shared results that turned out to be incomplete; files in run folders stay."""
-    shutil.rmtree(shared, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        # under another name first, so that nobody finds half of it
+        doomed = Path(tempfile.mkdtemp(prefix=f".{shared.name}.", dir=shared.parent))
+        try:
+            os.rename(shared, doomed)
+        finally:
+            shutil.rmtree(doomed, ignore_errors=True)
 
 
 def _link_tree(source: Path, target: Path) -> None:

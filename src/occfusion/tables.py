@@ -10,7 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 METRICS = ("psnr", "ssim", "lpips", "mask_iou")
-DECIMALS = {"psnr": 2, "ssim": 4, "lpips": 1, "mask_iou": 3}
+"""Measured at the end and along the error curve."""
+FIGURES = (*METRICS, "depth_error_mm")
+"""Measured at the end."""
+DECIMALS = {"psnr": 2, "ssim": 4, "lpips": 1, "mask_iou": 3, "depth_error_mm": 1}
 PERCEPTUAL_SCALE = 1000
 """Perceptual scores are printed times 1000, as in the paper."""
 
@@ -27,7 +30,15 @@ def heading(metric: str, perceptual_metric: str | None) -> str:
     """Returns a column's heading; the perceptual column bears the name of the metric that it holds."""
     if metric == "lpips":
         return f"{perceptual_metric or 'perceptual'} x{PERCEPTUAL_SCALE}"
-    return {"psnr": "PSNR", "ssim": "SSIM", "mask_iou": "mask IoU"}[metric]
+    return {"psnr": "PSNR", "ssim": "SSIM", "mask_iou": "mask IoU", "depth_error_mm": "depth error mm"}[
+        metric
+    ]
+
+
+def figures_known(metrics: Mapping[str, Any]) -> list[str]:
+    """Returns the figures that tables of a run show: depth only where some region has it."""
+    known = any(values.get("depth_error_mm") is not None for values in metrics["regions"].values())
+    return list(FIGURES if known else METRICS)
 
 
 def print_summary(folder: Path, metrics: Mapping[str, Any]) -> None:
@@ -35,10 +46,11 @@ def print_summary(folder: Path, metrics: Mapping[str, Any]) -> None:
     name = metrics["perceptual_metric"]
     table = Table(title=f"{metrics['dataset']} {metrics['scene']}, variant {metrics['variant']}")
     table.add_column("region")
-    for metric in METRICS:
+    shown = figures_known(metrics)
+    for metric in shown:
         table.add_column(heading(metric, name), justify="right")
     for region, values in metrics["regions"].items():
-        table.add_row(region, *(figure(metric, values[metric]) for metric in METRICS))
+        table.add_row(region, *(figure(metric, values.get(metric)) for metric in shown))
     console = Console()
     console.print(table)
     console.print(

@@ -77,10 +77,13 @@ class Truth:
     Attributes:
         rgb: `[H, W, 3]`, 0..1; background removed (black outside `mask`).
         mask: the complete person, bool `[H, W]`.
+        depth: of the person's true surface, `[H, W]`, metres along the optical axis; infinite where there is none.
+            None where no data tell.
     """
 
     rgb: Tensor
     mask: Tensor
+    depth: Tensor | None = None
 
 
 @dataclass(frozen=True)

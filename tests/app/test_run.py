@@ -10,6 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from occfusion.compare.reading import find_runs
 from occfusion.errors import ConfigError
 from occfusion.files.images import read_mask
 from occfusion.stages.targets import Target
@@ -41,6 +42,39 @@ def test_fast_dev_run(train: Train, variant: str, stage: str) -> None:
     assert metrics["variant"] == variant
     assert metrics["regions"]["full"]["psnr"] > 5
     assert not (folder / "optim" / "last.ckpt").exists()
+
+
+def test_a_trial_leaves_the_default_folder_to_the_whole_run(
+    train: Train, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from occfusion.stages.optim import OptimStage
+
+    steps = []
+    original = OptimStage.training_step
+    monkeypatch.setattr(OptimStage, "training_step", lambda *a: steps.append(1) or original(*a))
+    for variant in ("B", "B"):  # the second must try everything again
+        folder, _ = train(f"variant={variant}", "trainer.fast_dev_run=true", chosen=False)
+        trial = folder.with_name("run-trial")
+        assert not folder.exists() and (trial / "metrics.json").is_file()
+    assert len(steps) == 2
+    train("variant=B", "seed=1", "trainer.fast_dev_run=true", chosen=False)
+    train("variant=B", "optim.steps=2", chosen=False)
+    assert {path.name for path in folder.parent.iterdir() if not path.name.startswith(".")} == {
+        "run", "run-trial", "run-trial-2",
+    }  # fmt: skip
+    assert find_runs([folder.parent]) == [folder]
+    assert find_runs([trial]) == [trial]
+
+
+def test_a_trial_in_a_named_folder_is_tried_again(train: Train) -> None:
+    folder, _ = train("trainer.fast_dev_run=true")
+    (folder / "note.txt").write_text("mine")
+    stamp = (folder / "optim" / "avatar.safetensors").stat().st_mtime_ns
+    train("trainer.fast_dev_run=true")
+    assert (folder / "optim" / "avatar.safetensors").stat().st_mtime_ns != stamp
+    assert (folder / "note.txt").read_text() == "mine"
+    with pytest.raises(ConfigError, match="other settings"):
+        train("optim.steps=2")
 
 
 def test_run_folder_holds_what_the_interface_promises(train: Train) -> None:
@@ -219,3 +253,18 @@ def test_finished_run_is_taken_over_until_it_is_asked_for_again(train: Train) ->
     stamp = (folder / "metrics.json").stat().st_mtime_ns
     train("variant=A", "optim.steps=2", "evaluation.training_stride=8", "evaluation.again=true")
     assert (folder / "metrics.json").stat().st_mtime_ns != stamp
+
+
+def test_a_run_reports_the_error_of_depth_where_the_surface_is_known(
+    train: Callable[..., tuple[Path, dict[str, Any]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, metrics = train("optim.steps=2")
+    full = metrics["regions"]["full"]
+    assert 2 < full["depth_error_mm"] < 60  # Gaussians on the naked body under clothes
+    assert full["depth_images"] == full["images"] == 4
+    assert metrics["regions"]["visible"]["depth_error_mm"] > 0
+    with (folder / "per_image.csv").open() as file:
+        values = [row["depth_error_mm"] for row in csv.DictReader(file) if row["region"] == "full"]
+    assert full["depth_error_mm"] == pytest.approx(sum(map(float, values)) / len(values))
+    assert "depth error mm" in (folder / "report.md").read_text()
+    assert "depth" in capsys.readouterr().out

@@ -54,6 +54,15 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> float:
     return 10 * math.log10(1 / (math.fsum(squares) / len(squares)))
 
 
+def depth_error_mm(depth: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float | None:
+    errors = []
+    for y in range(depth.shape[0]):
+        for x in range(depth.shape[1]):
+            if mask[y, x] and math.isfinite(truth[y, x]):
+                errors.append(abs(1000.0 * float(depth[y, x]) - 1000.0 * float(truth[y, x])))
+    return math.fsum(errors) / len(errors) if errors else None
+
+
 def perceptual_distance(a, b, convolutions, heads, *, blurred: bool) -> float:
     """Zhang et al. 2018, equation 1, on VGG16.
 

@@ -188,7 +188,7 @@ def test_summary_counts_every_image_once_and_leaves_out_what_is_missing():
     summary = summarise(rows)
     assert summary["full"] == {
         "psnr": 60.0, "ssim": pytest.approx(0.6), "lpips": 0.25, "mask_iou": 1.0,
-        "images": 2, "lpips_images": 1, "psnr_capped": 1,
+        "depth_error_mm": None, "images": 2, "lpips_images": 1, "depth_images": 0, "psnr_capped": 1,
     }  # fmt: skip
     empty = {
         "psnr": None,
@@ -196,7 +196,9 @@ def test_summary_counts_every_image_once_and_leaves_out_what_is_missing():
         "lpips": None,
         "mask_iou": None,
         "images": 0,
+        "depth_error_mm": None,
         "lpips_images": 0,
+        "depth_images": 0,
         "psnr_capped": 0,
     }
     assert summary["hidden"] == summary["box"] == empty

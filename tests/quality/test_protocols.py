@@ -58,8 +58,8 @@ def test_unit_inputs_have_a_name_and_values_of_their_own() -> None:
 
 def test_means_by_camera_and_by_frame(tmp_path: Path) -> None:
     rows = [
-        ImageRow(0, 1, "full", 9, psnr=20.0, ssim=0.5, lpips=0.1, mask_iou=1.0),
-        ImageRow(5, 1, "full", 9, psnr=30.0, ssim=0.7, lpips=None, mask_iou=0.5),
+        ImageRow(0, 1, "full", 9, psnr=20.0, ssim=0.5, lpips=0.1, mask_iou=1.0, depth_error_mm=10.0),
+        ImageRow(5, 1, "full", 9, psnr=30.0, ssim=0.7, lpips=None, mask_iou=0.5, depth_error_mm=20.0),
         ImageRow(0, 2, "full", 9, psnr=40.0, ssim=0.9, lpips=None, mask_iou=None),
         ImageRow(0, 0, "hidden"),
     ]
@@ -67,12 +67,23 @@ def test_means_by_camera_and_by_frame(tmp_path: Path) -> None:
     write_grouped_csv(tmp_path / "f.csv", rows, "frame")
     with (tmp_path / "c.csv").open() as file:
         assert list(csv.reader(file)) == [
-            ["camera", "region", "images", "lpips_images", "psnr", "ssim", "lpips", "mask_iou"],
-            ["1", "full", "2", "1", "25", "0.6", "0.1", "0.75"],
-            ["2", "full", "1", "0", "40", "0.9", "", ""],
+            [
+                "camera",
+                "region",
+                "images",
+                "lpips_images",
+                "depth_images",
+                "psnr",
+                "ssim",
+                "lpips",
+                "mask_iou",
+                "depth_error_mm",
+            ],
+            ["1", "full", "2", "1", "2", "25", "0.6", "0.1", "0.75", "15"],
+            ["2", "full", "1", "0", "0", "40", "0.9", "", "", ""],
         ]
     with (tmp_path / "f.csv").open() as file:
-        assert [row[:5] for row in csv.reader(file)][1:] == [
-            ["0", "full", "2", "1", "30"],
-            ["5", "full", "1", "0", "30"],
+        assert [row[:6] for row in csv.reader(file)][1:] == [
+            ["0", "full", "2", "1", "1", "30"],
+            ["5", "full", "1", "0", "1", "30"],
         ]

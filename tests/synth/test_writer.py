@@ -5,8 +5,11 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -133,6 +136,29 @@ def test_leftovers_of_a_killed_process_are_removed(tmp_path: Path) -> None:
     left.mkdir()
     write_scene(tmp_path, TINY, progress=False)
     assert not left.exists()
+
+
+def test_runs_that_need_the_same_scene_at_once_write_it_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+    original = writer._write_all
+
+    def slowly(folder: Path, *rest: Any) -> None:
+        made.append(folder)
+        time.sleep(0.5)
+        original(folder, *rest)
+
+    monkeypatch.setattr(writer, "_write_all", slowly)
+    threads = [
+        threading.Thread(target=write_scene, args=(tmp_path, TINY), kwargs={"progress": False}) for _ in "ab"
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(120)
+    assert len(made) == 1
+    assert [path.name for path in tmp_path.iterdir()] == [TINY.name]
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

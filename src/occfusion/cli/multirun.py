@@ -1,6 +1,7 @@
 """The end of `python train.py -m`: one table over all jobs, in files and on the terminal.
 
-Jobs may run in processes of their own (Hydra's launchers), so each leaves a small record in the sweep's folder.
+Jobs may run in processes of their own (Hydra's launchers), so each leaves a small record in the sweep's folder:
+one when it begins, and another in its place when it ends.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from omegaconf import DictConfig
 from occfusion.files.atomic import write_bytes, write_json
 
 JOBS = "jobs"
+NO_LAST_WORD = "its process ended without a word (killed, or out of memory); the same command continues it"
 
 
 @dataclass(frozen=True)
@@ -40,9 +42,15 @@ class JobRecord:
 
 @dataclass
 class Outcome:
-    """What the multirun of this process has come to."""
+    """What the multirun of this process has come to.
+
+    Attributes:
+        exit_code: of the command, as far as the jobs decide it.
+        sweep: folder of a multirun that has begun and not ended.
+    """
 
     exit_code: int = 0
+    sweep: Path | None = None
 
 
 OUTCOME = Outcome()
@@ -53,16 +61,32 @@ def record_job(sweep: Path, job: JobRecord) -> None:
     write_json(sweep / JOBS / f"{job.number}.json", asdict(job))
 
 
+def record_start(sweep: Path, number: int, overrides: str) -> None:
+    """Leaves the record of a job that has begun: what stands there if its process is killed."""
+    record_job(sweep, JobRecord(number, overrides, error=NO_LAST_WORD, exit_code=1))
+
+
 class EndTable(Callback):
     """Hydra's callback that writes the table when all jobs have ended."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Removes the records of an earlier sweep."""
-        shutil.rmtree(Path(config.hydra.sweep.dir) / JOBS, ignore_errors=True)
+        OUTCOME.sweep = Path(config.hydra.sweep.dir)
+        shutil.rmtree(OUTCOME.sweep / JOBS, ignore_errors=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Writes `table.md`, `table.csv` and `table.tex`, prints the figures and what failed."""
         OUTCOME.exit_code = write_end_table(Path(config.hydra.sweep.dir))
+        OUTCOME.sweep = None
+
+
+def end_of_broken_multirun(exit_code: int) -> None:
+    """Writes the table of a multirun whose launcher gave up, from the jobs that left a record."""
+    if OUTCOME.sweep is None:
+        return
+    print("the launcher ended before all jobs had; those that had begun:")
+    OUTCOME.exit_code = write_end_table(OUTCOME.sweep) or exit_code
+    OUTCOME.sweep = None
 
 
 def write_end_table(sweep: Path) -> int:

@@ -13,7 +13,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from occfusion.cli.multirun import OUTCOME, JobRecord, record_job
+from occfusion.cli.launchers import is_parallel, missing_launcher
+from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, record_job, record_start
 from occfusion.errors import OccfusionError
 
 
@@ -34,6 +35,9 @@ def main(config_dir: Path) -> int:
     """Runs the Hydra application over `config_dir`; returns the process's exit code."""
     state = _State()
     OUTCOME.exit_code = 0
+    if (problem := missing_launcher(sys.argv[1:])) is not None:
+        print(f"ConfigError: {problem}", file=sys.stderr)
+        return 1
 
     # Hydra would print a traceback and exit by itself; a user's mistake deserves one plain line
     @hydra.main(version_base="1.3", config_path=str(config_dir), config_name="config")
@@ -41,12 +45,22 @@ def main(config_dir: Path) -> int:
         settings = HydraConfig.get()
         overrides = list(settings.overrides.task)
         if settings.mode == RunMode.MULTIRUN:
-            job = _job_of_many(config, overrides, settings.job.num, state)
-            record_job(Path(settings.sweep.dir), job)
+            sweep, number = Path(settings.sweep.dir), settings.job.num
+            record_start(sweep, number, " ".join(overrides))
+            if is_parallel(settings.launcher):
+                config.trainer.enable_progress_bar = (
+                    False  # lines of several processes would run into each other
+                )
+            record_job(sweep, _job_of_many(config, overrides, number, state))
         else:
             state.exit_code = _job(config, overrides, 0).exit_code
 
-    application()
+    try:
+        application()
+    except (SystemExit, KeyboardInterrupt) as end:  # Hydra has said why, or the user knows
+        if OUTCOME.sweep is None:
+            raise
+        end_of_broken_multirun(130 if isinstance(end, KeyboardInterrupt) else 1)
     return OUTCOME.exit_code or state.exit_code
 
 

@@ -10,6 +10,9 @@ from occfusion.compare.methods import methods
 from occfusion.compare.reading import MEASURED, CurvePoint, RunRecord, variant_rank
 
 REGIONS = ("full", "box", "visible", "hidden")
+AT_THE_END = (*MEASURED, "depth_error_mm")
+COUNTED_BY = {"lpips": "lpips_images", "depth_error_mm": "depth_images"}
+"""Figures that fewer images have than the region, and what says how many."""
 TARGET_VARIANT = "A"
 
 
@@ -68,7 +71,7 @@ def quantities(run: RunRecord, target: float | None) -> dict[str, float | None]:
     result: dict[str, float | None] = {}
     for region in REGIONS:
         values = run.metrics["regions"].get(region) or {}
-        result |= {f"{region}.{metric}": values.get(metric) for metric in MEASURED}
+        result |= {f"{region}.{metric}": values.get(metric) for metric in AT_THE_END}
     result["seconds"] = run.metrics["train_seconds"].get("total")
     result["memory_mb"] = run.metrics.get("peak_memory_mb")
     result["gaussians"] = run.metrics.get("gaussians")
@@ -175,11 +178,11 @@ def _over_images(runs: Sequence[RunRecord]) -> dict[str, Statistic]:
     """Returns the mean over all images of all runs, from each run's means and numbers of images."""
     result = {}
     for region in REGIONS:
-        for metric in MEASURED:
+        for metric in AT_THE_END:
             total, count = 0.0, 0
             for run in runs:
                 values = run.metrics["regions"].get(region) or {}
-                images = values.get("lpips_images" if metric == "lpips" else "images") or 0
+                images = values.get(COUNTED_BY.get(metric, "images")) or 0
                 if values.get(metric) is not None and images:
                     total, count = total + values[metric] * images, count + images
             if count:

@@ -94,14 +94,23 @@ class Fault:
 def find_runs(paths: Iterable[Path]) -> list[Path]:
     """Returns the run folders among `paths` and below those that are none themselves, without repetition.
 
-    A path without any run folder is returned as it is, so that reading it names the fault.
+    Trials of the code (`trainer.fast_dev_run`) are left out unless named. A path without any run folder is returned
+    as it is, so that reading it names the fault.
     """
     found: dict[Path, None] = {}
     for path in paths:
         inside = [] if (path / "config.yaml").is_file() else sorted(path.glob("**/config.yaml"))
-        for folder in [file.parent for file in inside] or [path]:
+        whole = [file.parent for file in inside if not _is_trial(file)]
+        for folder in whole or [path]:
             found[folder] = None
     return list(found)
+
+
+def _is_trial(config: Path) -> bool:
+    try:
+        return "fast_dev_run: true" in config.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):  # reading the run will say what is wrong
+        return False
 
 
 def read_runs(folders: Iterable[Path]) -> tuple[list[RunRecord], list[Fault]]:

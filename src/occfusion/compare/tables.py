@@ -40,27 +40,21 @@ def perceptual_names(runs: Sequence[RunRecord]) -> list[str]:
 def run_grid(runs: Sequence[RunRecord]) -> Grid:
     """Returns header and one row a run."""
     names, goal = perceptual_names(runs), targets(runs)
-    header = [
-        "scene",
-        "variant",
-        "seed",
-        *_headings(names),
-        "hidden PSNR",
-        "seconds",
-        "to A",
-        "MB",
-        "Gaussians",
-        "run",
-    ]
+    known = [quantities(run, goal.get((run.dataset, run.scene))) for run in runs]
+    has_depth = any(values["full.depth_error_mm"] is not None for values in known)
+    depth = [heading("depth_error_mm", None)] if has_depth else []
+    header = ["scene", "variant", "seed", *_headings(names), *depth]
+    header += ["hidden PSNR", "seconds", "to A", "MB", "Gaussians", "run"]
     rows = []
-    for run in runs:
-        values = quantities(run, goal.get((run.dataset, run.scene)))
+    for run, values in zip(runs, known, strict=True):
         perceptual = [
             figure("lpips", values["full.lpips"] if run.metrics["perceptual_metric"] == name else None)
             for name in names
         ]
         cells = [figure("psnr", values["full.psnr"]), figure("ssim", values["full.ssim"]), *perceptual]
-        cells += [figure("mask_iou", values["full.mask_iou"]), figure("psnr", values["hidden.psnr"])]
+        cells.append(figure("mask_iou", values["full.mask_iou"]))
+        cells += [figure("depth_error_mm", values["full.depth_error_mm"])] if has_depth else []
+        cells.append(figure("psnr", values["hidden.psnr"]))
         others = [_number(values[key], 1) for key in ("seconds", "seconds_to_target")]
         others += [_number(values[key], 0) for key in ("memory_mb", "gaussians")]
         rows.append(
@@ -76,7 +70,9 @@ def summary_grid(summaries: Sequence[Summary], names: Sequence[str]) -> Grid:
         summaries: of one level.
         names: of the perceptual metrics, one column each.
     """
-    header = ["data", "variant", "seeds", "scenes", *_headings(names), "seconds", "to A", "MB"]
+    has_depth = any("full.depth_error_mm" in s.values for s in summaries)
+    depth = [heading("depth_error_mm", None)] if has_depth else []
+    header = ["data", "variant", "seeds", "scenes", *_headings(names), *depth, "seconds", "to A", "MB"]
     header += ["paper PSNR", "paper SSIM", "paper LPIPS x1000", "paper minutes"]
     rows = []
     for s in summaries:
@@ -85,6 +81,7 @@ def summary_grid(summaries: Sequence[Summary], names: Sequence[str]) -> Grid:
             known = s.perceptual_metric == name
             cells.append(_cell(s, "full.lpips", DECIMALS["lpips"], PERCEPTUAL_SCALE) if known else "-")
         cells.append(_cell(s, "full.mask_iou", DECIMALS["mask_iou"]))
+        cells += [_cell(s, "full.depth_error_mm", DECIMALS["depth_error_mm"])] if has_depth else []
         cells += [_cell(s, "seconds", 1), _cell(s, "seconds_to_target", 1), _cell(s, "memory_mb", 0)]
         paper = [_number(s.paper.get(key), PAPER_DECIMALS[key]) for key in PAPER_COLUMNS]
         rows.append([f"{s.dataset} {s.scene}".strip(), s.method, str(s.seeds), str(s.scenes), *cells, *paper])

@@ -6,8 +6,10 @@ A reader knows one layout on disk and nothing of scaling, occlusion or training;
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,10 +91,23 @@ class PictureFiles:
         return (self.rgb, *self.masks, *(path for path in optional if path is not None))
 
 
+class Surface(NamedTuple):
+    """What the cameras truly saw of the person at a moment, as a mesh.
+
+    Attributes:
+        vertices: in the world, `[V, 3]`, metres.
+        faces: `[F, 3]`.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+
+
 class Scene(ABC):
     """An interface: one sequence of one person, seen by one or more cameras.
 
-    `remarks` are sentences about the folder that the user should know of, one each.
+    `remarks` are sentences about the folder that the user should know of, one each; `surface` gives the person's
+    true surface at a frame of the sequence, for evaluation, and is None where nobody knows it.
     """
 
     name: str
@@ -100,6 +115,7 @@ class Scene(ABC):
     num_frames: int
     cameras: tuple[str, ...]
     remarks: tuple[str, ...] = ()
+    surface: Callable[[int], Surface] | None = None
 
     @abstractmethod
     def calibration(self, camera: int) -> Calibration:

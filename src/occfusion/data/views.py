@@ -19,6 +19,7 @@ from occfusion.data.prepare import Prepared
 from occfusion.data.scene import BodyParameters
 from occfusion.errors import DataError
 from occfusion.files.images import image_size, read_mask
+from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.types import Frame, Pose, Truth
 
 _KEPT_LENSES = 3
@@ -116,10 +117,22 @@ class Views:
             visible_mask=packed.visible_mask(),
             occluded=packed.occluded() if truth else None,
             complete_mask=None,
-            truth=None if known is None else Truth(*known),
+            truth=None if known is None else Truth(*known, self._true_depth(frame, camera)),
             camera=self.lens(camera).camera(),
             pose=self.pose(frame),
         )
+
+    def _true_depth(self, frame: int, camera: int) -> Tensor | None:
+        """Returns the depth of the true surface, `[H, W]`, infinite where there is none; None if not known."""
+        if self._prepared.scene.surface is None:
+            return None
+        surface, view = self._prepared.scene.surface(frame), self.lens(camera).camera()
+        viewmat, K = view.viewmat.double().numpy(), view.K.double().numpy()
+        points = surface.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
+        depths = points[:, 2]
+        pixels = (points @ K.T)[:, :2] / np.where(depths > 0, depths, 1.0)[:, None]
+        seen = rasterize_mesh(pixels, depths, surface.faces, view.width, view.height)
+        return torch.from_numpy(seen.depth)
 
 
 def frame_to(frame: Frame, device: torch.device | str) -> Frame:
@@ -134,7 +147,8 @@ def frame_to(frame: Frame, device: torch.device | str) -> Frame:
         visible_mask=frame.visible_mask.to(device),
         occluded=move(frame.occluded),
         complete_mask=move(frame.complete_mask),
-        truth=frame.truth and Truth(frame.truth.rgb.to(device), frame.truth.mask.to(device)),
+        truth=frame.truth
+        and Truth(frame.truth.rgb.to(device), frame.truth.mask.to(device), move(frame.truth.depth)),
         camera=frame.camera.to(device),
         pose=frame.pose.to(device),
     )

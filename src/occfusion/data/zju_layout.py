@@ -21,6 +21,7 @@ from occfusion.data.annots import Annots
 from occfusion.data.easymocap import read_body
 from occfusion.data.listing import MAX_DIGITS
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
+from occfusion.data.true_surface import true_surface
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.arrays import load_npy
 
@@ -90,6 +91,8 @@ class ZjuScene(Scene):
         self._params = folder / (there or self._release.params)[0]
         self._numbers = [frame_number(row[0], position) for position, row in enumerate(self._annots.pictures)]
         self._has_truth = (folder / "mask_complete").is_dir()
+        if (surface := true_surface(folder)) is not None:
+            self.surface = lambda frame: surface(self._numbers[frame])
 
     def _require_masks(self, masks: str) -> None:
         there = [name for name in MASK_FOLDERS if (self.root / name).is_dir()]

@@ -57,14 +57,47 @@ def write_bytes(path: Path | str, content: bytes) -> None:
         stream.write(content)
 
 
+def create_bytes(path: Path | str, content: bytes) -> bool:
+    """Writes a file that must not exist yet, whole; returns False, and writes nothing, where it exists.
+
+    Of several processes that try at once exactly one is told True.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    path = Path(path)
+    handle, name = tempfile.mkstemp(prefix=f".{path.name[:80]}.", suffix=_PARTIAL, dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            os.chmod(name, 0o666 & ~_umask())
+            stream.write(content)
+        try:
+            os.link(name, path)
+        except FileExistsError:
+            return False
+        except OSError:  # a disk without links: a reader may see the file before its content
+            try:
+                path.open("xb").close()
+            except FileExistsError:
+                return False
+            os.replace(name, path)
+        return True
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
 def write_json(path: Path | str, content: Mapping[str, Any] | list[Any]) -> None:
     """Writes readable JSON; NaN and infinity are refused, since other readers reject them.
 
     Raises:
         ValueError: a number is not finite; write None where a figure could not be computed.
     """
-    text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
-    write_bytes(path, (text + "\n").encode())
+    write_bytes(path, json_bytes(content))
+
+
+def json_bytes(content: Mapping[str, Any] | list[Any]) -> bytes:
+    """Returns readable JSON; raises as `write_json`."""
+    return (json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
 def write_png(path: Path | str, image: NDArray[Any]) -> None:

@@ -3,5 +3,6 @@
 from occfusion.splat.backends.registry import resolve_backend
 from occfusion.splat.limits import Limits
 from occfusion.splat.rasterize import rasterize
+from occfusion.splat.warm_up import warm_up
 
-__all__ = ["Limits", "rasterize", "resolve_backend"]
+__all__ = ["Limits", "rasterize", "resolve_backend", "warm_up"]

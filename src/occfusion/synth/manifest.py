@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from occfusion.errors import DataError
+from occfusion.errors import ConfigError, DataError
 from occfusion.files.atomic import write_json
 from occfusion.synth.spec import SceneSpec
 
@@ -18,6 +18,17 @@ VERSION = 1
 def write_manifest(folder: Path, spec: SceneSpec) -> None:
     """Writes the manifest of a finished scene."""
     write_json(folder / MANIFEST, {"format": FORMAT, "version": VERSION, "spec": spec.as_dict()})
+
+
+def written_spec(folder: Path) -> SceneSpec | None:
+    """Returns what a folder was written from; None where it is no scene of this version of the generator."""
+    try:
+        content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        if content["format"] != FORMAT or content["version"] != VERSION:
+            return None
+        return SceneSpec(**content["spec"])
+    except (OSError, ValueError, KeyError, TypeError, ConfigError):
+        return None
 
 
 def is_current(folder: Path, spec: SceneSpec) -> bool:

@@ -8,19 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.synth.cloth import swing, wrinkles
+from occfusion.synth.actor import Actor
 from occfusion.synth.disturb import disturb_mask, disturb_shape, disturb_take, move_edge, person_mask
-from occfusion.synth.dress import dress
-from occfusion.synth.fullbody import bone_transforms, load_full_body, load_model_body, skin, vertex_normals
+from occfusion.synth.fullbody import bone_transforms, load_model_body, skin
 from occfusion.synth.light import AMBIENT, Lighting, light_vertices
-from occfusion.synth.motion import make_take
 from occfusion.synth.occluders import Occluder
 from occfusion.synth.paint import paint
 from occfusion.synth.rotations import Floats, axis_angle_from_quaternion, multiply, quaternion_from_axis_angle
 from occfusion.synth.shading import SUPERSAMPLING, Mesh, Window, draw, lay_over
 from occfusion.synth.spec import SceneSpec
 from occfusion.synth.studio import FOCAL, NOMINAL, RADIUS, Y_UP_TO_Z_UP, make_background, make_cameras
-from occfusion.synth.subject import make_subject
 
 TEXEL = 0.0017  # metres of skin a texel of the full atlas covers
 FIT_SIZE = 128  # pixels at which the share hidden by an occluder is measured
@@ -71,17 +68,14 @@ class Scene:
 
     def __init__(self, spec: SceneSpec) -> None:
         self.spec = spec
-        self.subject = make_subject(spec.subject)
-        self.figure = dress(self.subject)
+        self.actor = Actor(spec)
+        self.subject, self.take = self.actor.subject, self.actor.take
         self.cameras = make_cameras(spec.cameras, spec.image_size)
-        # moments of all levels agree, so that `hard` differs from `clean` in what makes it hard alone
-        self.take = make_take(spec.frames, self.subject.betas, spec.is_held_out, self._rng(1))
         self.is_hard = spec.level == "hard"
         self.disk_betas, self.disk_take = self.subject.betas, self.take
         if self.is_hard:
             self.disk_betas = disturb_shape(self.subject.betas, self._rng(2))
             self.disk_take = disturb_take(self.take, self._rng(3))
-            self._swinging, self._swing = swing(self.figure, self.take)
         self._lighting = Lighting(AMBIENT[spec.light], shadows=self.is_hard)
         sample = RADIUS / (FOCAL * spec.image_size / NOMINAL * SUPERSAMPLING)
         self._texture = paint(self.subject, sample / TEXEL)
@@ -113,16 +107,8 @@ class Scene:
 
     def mesh(self, frame: int) -> Mesh:
         """Returns the dressed and lit person at a frame, in the world."""
-        figure = self.figure
-        rest, shade = figure.rest, np.ones(len(figure.rest))
-        if self.is_hard:
-            lift, shade = wrinkles(figure, self.take, frame, self.spec.seed)
-            rest = rest + lift[:, None] * vertex_normals(rest, figure.faces)
-        transforms = bone_transforms(self.take.poses[frame], figure.joints, load_full_body().parents)
-        points = skin(rest, figure.weights, transforms) + self.take.transl[frame]
-        if self.is_hard:
-            points[self._swinging] += self._swing[frame]
-        points = points @ Y_UP_TO_Z_UP.T
+        figure = self.actor.figure
+        points, shade = self.actor.vertices(frame)
         light = light_vertices(points, figure.faces, self._lighting) * shade
         return Mesh(points, light, figure.faces, figure.uv, figure.layer, self._texture)
 

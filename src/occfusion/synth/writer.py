@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.errors import DataError
+from occfusion.files.lock import only_one
 from occfusion.synth.fullbody import asset_bytes
 from occfusion.synth.manifest import is_current, write_manifest
 from occfusion.synth.scene import Scene, Shot
@@ -64,12 +65,17 @@ def write_scene(root: Path | str, spec: SceneSpec, *, progress: bool = True) -> 
         return target
     try:
         root.mkdir(parents=True, exist_ok=True)
-        _sweep(root, spec.name)
-        _check_space(root, spec)
-        with _partial(root, spec.name) as folder:
-            _write_all(folder, Scene(spec), progress)
-            write_manifest(folder, spec)
-            _put(folder, target, spec)
+        with only_one(
+            root / f".{spec.name}.lock", on_wait=lambda: print(f"{target} is being written; waiting")
+        ):
+            if is_current(target, spec):  # by the process that was waited for
+                return target
+            _sweep(root, spec.name)
+            _check_space(root, spec)
+            with _partial(root, spec.name) as folder:
+                _write_all(folder, Scene(spec), progress)
+                write_manifest(folder, spec)
+                _put(folder, target, spec)
     except OSError as error:
         reason = "the disk is full" if error.errno == errno.ENOSPC else str(error.strerror or error)
         raise DataError(f"{target}: cannot be written: {reason}.") from error

@@ -1,0 +1,82 @@
+"""The training clock counts training: compiled code is made ready before it starts."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from occfusion import app
+from occfusion.splat import warm_up
+
+Train = Callable[..., tuple[Path, dict[str, Any]]]
+ROOT = Path(__file__).parents[2]
+CASE = """
+import sys
+from hydra import compose, initialize_config_dir
+from numba.core.registry import CPUDispatcher
+from occfusion import app
+from occfusion.stages.optim import OptimStage
+
+def compiled():
+    modules = [m for name, m in list(sys.modules.items()) if name.startswith("occfusion.splat.backends.numba")]
+    kernels = {id(v): v for m in modules for v in vars(m).values() if isinstance(v, CPUDispatcher)}
+    return {k.__name__: list(k.signatures) for k in kernels.values() if not k.targetoptions.get("forceinline")}
+
+at_start = {}
+original = OptimStage.on_train_start
+
+def start(self):
+    at_start.update(compiled())
+    original(self)
+
+OptimStage.on_train_start = start
+with initialize_config_dir(sys.argv[1], version_base="1.3"):
+    app.run(compose("config", sys.argv[2:]), folder_chosen_by_user=True)
+assert len(at_start) >= 5 and all(len(s) == 1 for s in at_start.values()), at_start
+assert compiled() == at_start, (compiled(), at_start)
+"""
+
+
+@pytest.mark.parametrize("variant", ["A", pytest.param("D", marks=pytest.mark.slow)])
+def test_training_compiles_nothing(scene_root: Path, tmp_path: Path, variant: str) -> None:
+    """In a process of its own, for this one has compiled everything long ago."""
+    overrides = [
+        f"variant={variant}", "optim.steps=3", "optim.densify=true", "optim.sh_every=1", "dataset=zju", "body=anny",
+        f"dataset.root={scene_root}", "dataset.scene=001-clean", f"body.path={scene_root}/001-clean/body.npz",
+        f"output_dir={tmp_path / 'run'}", "evaluation.perceptual=false", "optim.lambda_lpips=0",
+        "dataset.test_cameras=[1]", "evaluation.pictures=false", "evaluation.curve=false", "rasterizer=numba",
+    ]  # fmt: skip
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", CASE, str(ROOT / "conf"), *overrides], cwd=tmp_path, env=environment,
+        capture_output=True, text=True, timeout=280, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "optim: rasteriser numba ready after " in done.stdout
+
+
+def test_the_clock_stands_still_until_the_kernels_are_ready(
+    train: Train, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def slowly(backend: str, device: torch.device) -> float:
+        time.sleep(3.0)
+        return 3.0 + warm_up(backend, device)
+
+    monkeypatch.setattr(app, "warm_up", slowly)
+    _, metrics = train("optim.steps=2")
+    assert metrics["train_seconds"]["optim"] < 3.0
+    assert "before the training clock" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("backend", ["torch", "numba"])
+def test_warming_up_leaves_random_numbers_and_modes_alone(backend: str) -> None:
+    before = torch.get_rng_state()
+    with torch.inference_mode():
+        assert warm_up(backend, torch.device("cpu")) > 0
+    assert torch.equal(before, torch.get_rng_state())
