@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,15 @@ from omegaconf import DictConfig
 
 from occfusion import plan as planning
 from occfusion.compose import make_body, make_data
-from occfusion.config import PRIOR_STAGE, Named, Settings, VariantSettings, load_settings, stages_to_run
+from occfusion.config import (
+    PRIOR_STAGE,
+    Named,
+    Settings,
+    VariantSettings,
+    load_settings,
+    optim_hash,
+    stages_to_run,
+)
 from occfusion.data.handful import held_out_handful
 from occfusion.data.module import HumanDataModule
 from occfusion.evaluation_run import evaluate_run, evaluation_metric
@@ -32,6 +41,7 @@ from occfusion.refine_run import file_digest, make_references
 from occfusion.render import render_frame
 from occfusion.report import write_report
 from occfusion.runfolder import at_work, claim_run_folder
+from occfusion.sharing import offer, shared_folder, sole_maker, take
 from occfusion.splat import resolve_backend, warm_up
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.checkpointing import Checkpointing, resumable
@@ -47,6 +57,8 @@ from occfusion.types import Frame, Rendering
 
 WARM_UP_SAID = 0.05
 """Seconds from which on the user is told of the rasteriser's warming up."""
+
+CURVE_TABLE = "error_vs_time.csv"
 
 
 @dataclass
@@ -190,6 +202,33 @@ def _run_stage(run_: Run, name: str) -> None:
         print(f"{name}: finished before, taken from {folder}")
         run_.avatar = load_avatar(finished, run_.avatar.body)
         return
+    if name == "refine" or settings.trainer.fast_dev_run:
+        _train_stage(run_, name)
+        return
+    # what follows the optimisation does not change it: `D` and `E` share theirs
+    curve = (
+        settings.evaluation.curve,
+        settings.evaluation.curve_images,
+        settings.evaluation.curve_first_second,
+    )
+    identity = {"settings": optim_hash(settings), "data": run_.data_hash, "curve": curve}
+    shared = shared_folder(run_.folder, settings.shared_dir, name, identity)
+    with sole_maker(shared, name):
+        if take(shared, folder) is not None and finished.is_file():
+            print(f"{name}: trained before, taken from {shared}")
+            run_.avatar = load_avatar(finished, run_.avatar.body)
+            write_gaussians_ply(run_.folder / "point_cloud.ply", run_.avatar.gaussians)
+            if (folder / CURVE_TABLE).is_file():
+                shutil.copyfile(folder / CURVE_TABLE, run_.folder / CURVE_TABLE)
+            return
+        _train_stage(run_, name)
+        if (run_.folder / CURVE_TABLE).is_file():
+            shutil.copyfile(run_.folder / CURVE_TABLE, folder / CURVE_TABLE)
+        offer(shared, folder, folder / "stage.json", without=("last.ckpt",))
+
+
+def _train_stage(run_: Run, name: str) -> None:
+    settings, folder = run_.settings, run_.folder / name
     _warm_up(run_, name)
     stage, seconds_before = _optim_stage(run_) if name == "optim" else _refine_stage(run_)
     guard = SignalGuard()
@@ -335,5 +374,5 @@ def _curve(run_: Run) -> ErrorCurve:
     evaluation = run_.settings.evaluation
     frames = held_out_handful(run_.data, evaluation.curve_images)
     perceptual = evaluation_metric(evaluation, run_.perceptual)
-    path = run_.folder / "error_vs_time.csv"
+    path = run_.folder / CURVE_TABLE
     return ErrorCurve(path, frames, run_.render, evaluation.curve_first_second, perceptual)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -163,6 +163,12 @@ def settings_hash(settings: Settings) -> str:
         del relevant["trainer"][key]
     del relevant["dataset"]["root"], relevant["variant"]["paper"]
     return hashlib.sha256(json.dumps(relevant, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def optim_hash(settings: Settings) -> str:
+    """Returns a short hash of all that decides the result of the optimisation stage, whatever follows it."""
+    stages = [stage for stage in settings.variant.stages if stage != "refine"]
+    return settings_hash(replace(settings, variant=VariantSettings("", stages)))
 
 
 def stages_to_run(settings: Settings) -> list[str]:

@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ def sole_maker(shared: Path, stage: str) -> Iterator[None]:
         yield
 
 
-def offer(shared: Path, results: Path, record: Path) -> None:
+def offer(shared: Path, results: Path, record: Path, without: Collection[str] = ()) -> None:
     """Shares a finished stage's results, unless they are shared already or the disk refuses.
 
     Sharing saves time and nothing else, so a failure to do so is no error.
@@ -58,6 +58,7 @@ def offer(shared: Path, results: Path, record: Path) -> None:
         shared: from `shared_folder`; appears whole or not at all.
         results: the folder with the stage's files.
         record: its `stage.json`.
+        without: names of files that nobody else needs.
     """
     if shared.exists():
         return
@@ -65,7 +66,7 @@ def offer(shared: Path, results: Path, record: Path) -> None:
         shared.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{shared.name}.", dir=shared.parent))
         try:
-            _link_tree(results, partial / "results")
+            _link_tree(results, partial / "results", without)
             shutil.copy2(record, partial / STAGE_RECORD)
             os.rename(partial, shared)  # fails where another run was faster
         finally:
@@ -101,12 +102,12 @@ def discard(shared: Path) -> None:
             shutil.rmtree(doomed, ignore_errors=True)
 
 
-def _link_tree(source: Path, target: Path) -> None:
+def _link_tree(source: Path, target: Path, without: Collection[str] = ()) -> None:
     """Links all files of a folder into another; copies them where links are not possible.
 
     Files are replaced, never written into, everywhere in this package, so that links do no harm.
     """
-    for file in sorted(path for path in source.rglob("*") if path.is_file()):
+    for file in sorted(path for path in source.rglob("*") if path.is_file() and path.name not in without):
         there = target / file.relative_to(source)
         there.parent.mkdir(parents=True, exist_ok=True)
         there.unlink(missing_ok=True)
