@@ -20,6 +20,7 @@ LAYERS = [
     {"render", "evaluate"},
     {"stages"},
     {
+        "processes",
         "config",
         "compose",
         "plan",

@@ -26,6 +26,7 @@ from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.prior_run import run_prior_training
 from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior, make_score_prior
+from occfusion.processes import is_helper, local_rank, tell_helpers
 from occfusion.render import render_frame
 from occfusion.report import write_report
 from occfusion.runfolder import at_work, claim_run_folder
@@ -35,6 +36,7 @@ from occfusion.stages.curve import ErrorCurve
 from occfusion.stages.distil import Distiller
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.optim import OptimStage
+from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
 from occfusion.tables import print_summary
 from occfusion.types import Frame, Rendering
@@ -98,6 +100,8 @@ def _run_stages(run_: Run) -> tuple[Path, dict[str, Any]]:
             _complete_masks(run_)
         else:
             _run_stage(run_, stage)
+    if is_helper():
+        return run_.folder, {}
     if stages_to_run(settings) == ["init"]:  # nothing is trained yet that could be evaluated
         print(f"run folder: {run_.folder}")
         return run_.folder, {}
@@ -123,7 +127,8 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
     moments = look_at_training_frames(data, body) if is_prior_asked else None
     decisions = planning.make_plan(settings, summary, backend, moments)
-    write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
+    if not is_helper():
+        write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
     perceptual = None
     if settings.optim.lambda_lpips or settings.evaluation.perceptual:
         perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
@@ -142,7 +147,7 @@ def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
 def _device(settings: Settings) -> torch.device:
     accelerator = settings.trainer.accelerator
     on_gpu = accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
-    return torch.device("cuda" if on_gpu else "cpu")
+    return torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
 
 
 def _complete_masks(run_: Run) -> None:
@@ -182,20 +187,22 @@ def _run_stage(run_: Run, name: str) -> None:
         seed=settings.seed,
     )
     guard = SignalGuard()
-    callbacks: list[L.Callback] = [guard]
+    callbacks: list[L.Callback] = [guard, SharedDensification()]
     if not settings.trainer.fast_dev_run:
         callbacks.append(Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every))
-    if settings.evaluation.curve:
+    if settings.evaluation.curve and not is_helper():
         callbacks.append(_curve(run_))
-    if settings.trainer.enable_progress_bar:
+    if settings.trainer.enable_progress_bar and not is_helper():
         callbacks.append(ProgressLine())
+    tell_helpers(run_.folder)
     trainer = _trainer(settings, settings.optim.steps, callbacks)
     checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
     with guard:
         trainer.fit(stage, datamodule=run_.data, ckpt_path=checkpoint, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(folder / "last.ckpt"))
-    _hand_over(run_, folder, stage.clock.seconds, trainer.global_step)
+    if not is_helper():
+        _hand_over(run_, folder, stage.clock.seconds, trainer.global_step)
 
 
 def _warm_up(run_: Run, stage: str) -> None:
@@ -254,8 +261,9 @@ def _trainer(settings: Settings, steps: int, callbacks: list[L.Callback]) -> L.T
         logger=False,
         enable_checkpointing=False,
         enable_model_summary=False,
-        enable_progress_bar=trainer.enable_progress_bar,
+        enable_progress_bar=trainer.enable_progress_bar and not is_helper(),
         callbacks=callbacks,
+        **trainer_options(trainer.devices),
     )
 
 
