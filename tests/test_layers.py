@@ -21,6 +21,7 @@ LAYERS = [
     {"render", "evaluate"},
     {"stages"},
     {
+        "processes",
         "config",
         "compose",
         "plan",
@@ -34,6 +35,8 @@ LAYERS = [
         "evaluation_tables",
         "init_run",
         "refine_run",
+        "run_objects",
+        "avatar_run",
         "prior_run",
         "recipes",
         "report",
@@ -48,7 +51,7 @@ LEVEL = {part: level for level, parts in enumerate(LAYERS) for part in parts}
 
 # heavy or optional libraries, and the only parts that may import them when they are themselves imported
 AT_TOP_LEVEL_ONLY_IN = {
-    "lightning": {"data/module.py", "stages", "app.py", "prior_run.py", "cli"},
+    "lightning": {"data/module.py", "stages", "app.py", "avatar_run.py", "prior_run.py", "cli"},
     "hydra": {"cli", "app.py", "compose.py"},
     "diffusers": set(),
     "transformers": set(),
@@ -73,7 +76,7 @@ ANYWHERE_ONLY_IN = {
         "runfolder.py",
         "compare/reading.py",
     },
-    "lightning": {"data/module.py", "stages", "app.py", "prior_run.py", "cli", "config.py"},
+    "lightning": {"data/module.py", "stages", "app.py", "avatar_run.py", "prior_run.py", "cli", "config.py"},
     "stlpips_pytorch": set(),
     "torchvision": set(),
 }

@@ -1,83 +1,25 @@
-"""Composes the objects of a run from its settings, runs the stages, evaluates, reports."""
+"""Runs what a configuration asks for: stages, evaluation, report."""
 
 from __future__ import annotations
 
 import logging
-import shutil
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import lightning as L
-import torch
 from omegaconf import DictConfig
 
-from occfusion import plan as planning
-from occfusion.compose import make_body, make_data
-from occfusion.config import (
-    PRIOR_STAGE,
-    Named,
-    Settings,
-    VariantSettings,
-    load_settings,
-    optim_hash,
-    stages_to_run,
-)
-from occfusion.data.handful import held_out_handful
-from occfusion.data.module import HumanDataModule
-from occfusion.evaluation_run import evaluate_run, evaluation_metric
-from occfusion.files.atomic import write_json
+from occfusion.avatar_run import run_stages, train_coarse
+from occfusion.config import PRIOR_STAGE, load_settings, stages_to_run
+from occfusion.evaluation_run import evaluate_run
 from occfusion.finished import finished_in, record_finished
-from occfusion.human import Avatar, load_avatar, save_avatar, write_gaussians_ply
-from occfusion.human.densify import Densifier
-from occfusion.init_run import look_at_training_frames, run_init
-from occfusion.inpaint.registry import check_inpainter
-from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.prior_run import run_prior_training
-from occfusion.priors.moments import Moment
-from occfusion.priors.registry import check_score_prior, make_score_prior
+from occfusion.processes import is_helper
 from occfusion.recipes.appearance import Coarse, CoarseScene
-from occfusion.refine_run import file_digest, make_references
-from occfusion.render import render_frame
 from occfusion.report import write_report
-from occfusion.runfolder import at_work, claim_run_folder
-from occfusion.sharing import offer, shared_folder, sole_maker, take
-from occfusion.splat import resolve_backend, warm_up
-from occfusion.stages.avatar import AvatarStage
-from occfusion.stages.checkpointing import Checkpointing, resumable
-from occfusion.stages.curve import ErrorCurve
-from occfusion.stages.distil import Distiller
-from occfusion.stages.interruption import Interrupted, SignalGuard
-from occfusion.stages.optim import OptimStage
-from occfusion.stages.progress import ProgressLine
-from occfusion.stages.refine import RefineStage
-from occfusion.stages.settings import AvatarSettings, SdsSettings
+from occfusion.run_objects import Run, compose_run
+from occfusion.runfolder import at_work
 from occfusion.tables import print_summary
-from occfusion.types import Frame, Rendering
-
-WARM_UP_SAID = 0.05
-"""Seconds from which on the user is told of the rasteriser's warming up."""
-
-CURVE_TABLE = "error_vs_time.csv"
-
-
-@dataclass
-class Run:
-    """The objects of one run."""
-
-    settings: Settings
-    folder: Path
-    data: HumanDataModule
-    avatar: Avatar
-    perceptual: PerceptualMetric | None
-    backend: str
-    moments: list[Moment] | None
-    data_hash: str
-    stages: list[str]
-
-    def render(self, frame: Frame) -> Rendering:
-        """Returns the avatar as the frame's camera sees it."""
-        return render_frame(self.avatar, frame, self.backend)
 
 
 def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
@@ -100,27 +42,25 @@ def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[P
     if settings.stage.name == PRIOR_STAGE:
 
         def train(scene: CoarseScene, folder: Path) -> Coarse:
-            return _train_coarse(settings, scene, folder)
+            return train_coarse(settings, scene, folder)
 
         done = run_prior_training(settings, train, folder_chosen_by_user=folder_chosen_by_user)
         return Path(settings.output_dir), done
-    run_ = _compose(settings, folder_chosen_by_user)
+    run_ = compose_run(settings, folder_chosen_by_user)
     with at_work(run_.folder):
-        return _run_stages(run_)
+        return _run_and_evaluate(run_)
 
 
-def _run_stages(run_: Run) -> tuple[Path, dict[str, Any]]:
+def _run_and_evaluate(run_: Run) -> tuple[Path, dict[str, Any]]:
     """Runs the stages that are asked for, evaluates and reports; returns the folder and `metrics.json`."""
     settings = run_.settings
     if (finished := finished_in(run_.folder, settings, run_.data_hash)) is not None:
         record_finished(run_.folder, settings, run_.data_hash)  # where the files lie now
         print_summary(run_.folder, finished.metrics)
         return run_.folder, finished.metrics
-    for stage in run_.stages:
-        if stage == "init":
-            _complete_masks(run_)
-        else:
-            _run_stage(run_, stage)
+    run_stages(run_)
+    if is_helper():
+        return run_.folder, {}
     if stages_to_run(settings) == ["init"]:  # nothing is trained yet that could be evaluated
         print(f"run folder: {run_.folder}")
         return run_.folder, {}
@@ -132,247 +72,3 @@ def _run_stages(run_: Run) -> tuple[Path, dict[str, Any]]:
     record_finished(run_.folder, settings, run_.data_hash)
     print_summary(run_.folder, metrics)
     return run_.folder, metrics
-
-
-def _compose(settings: Settings, folder_chosen_by_user: bool) -> Run:
-    body = make_body(settings.body)
-    data = make_data(settings, body)
-    data.validate()
-    summary = data.summary()
-    backend = resolve_backend(settings.rasterizer.name, _device(settings), torch.float32)
-    if settings.optim.sds.is_used and "optim" in stages_to_run(settings):
-        check_score_prior(settings.prior)
-    if settings.refine.source == "prior" and "refine" in stages_to_run(settings):
-        check_inpainter(settings.prior, _device(settings))
-    folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
-    is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
-    moments = look_at_training_frames(data, body) if is_prior_asked else None
-    if moments is not None and settings.plan == "full":
-        moments = planning.with_everything(moments)
-    decisions = planning.make_plan(settings, summary, backend, moments)
-    write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
-    stages = [
-        stage for stage in stages_to_run(settings) if f"stage {stage}" not in planning.left_out(decisions)
-    ]
-    for stage in stages_to_run(settings):
-        if stage not in stages:
-            print(f"{stage}: left out, no frame is occluded")
-    data.store_occlusion(folder / "occlusion")
-    perceptual = None
-    trained = [getattr(settings, stage) for stage in stages if stage != "init"]
-    if settings.evaluation.perceptual or any(stage.lambda_lpips for stage in trained):
-        perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
-    optim = settings.optim
-    avatar = Avatar(
-        body,
-        sh_degree=planning.reached_sh_degree(settings),
-        refine_pose=optim.refine_pose,
-        learn_skinning=optim.learn_skinning,
-        skinning_every=optim.skinning_every,
-        sh_frame=optim.sh_frame,
-    )
-    return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"], stages)
-
-
-def _device(settings: Settings) -> torch.device:
-    accelerator = settings.trainer.accelerator
-    on_gpu = accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
-    return torch.device("cuda" if on_gpu else "cpu")
-
-
-def _complete_masks(run_: Run) -> None:
-    """Runs the initialisation stage."""
-    assert run_.moments is not None
-    run_init(
-        run_.settings,
-        run_.folder,
-        run_.data,
-        run_.avatar.body,
-        run_.moments,
-        run_.data_hash,
-        _device(run_.settings),
-    )
-
-
-def _run_stage(run_: Run, name: str) -> None:
-    """Trains a stage, or takes its result over when it is finished already."""
-    settings, folder = run_.settings, run_.folder / name
-    finished = folder / "avatar.safetensors"
-    if (folder / "stage.json").is_file() and finished.is_file():
-        print(f"{name}: finished before, taken from {folder}")
-        run_.avatar = load_avatar(finished, run_.avatar.body)
-        return
-    if name == "refine" or settings.trainer.fast_dev_run:
-        _train_stage(run_, name)
-        return
-    # what follows the optimisation does not change it: `D` and `E` share theirs
-    curve = (
-        settings.evaluation.curve,
-        settings.evaluation.curve_images,
-        settings.evaluation.curve_first_second,
-    )
-    identity = {"settings": optim_hash(settings), "data": run_.data_hash, "curve": curve}
-    shared = shared_folder(run_.folder, settings.shared_dir, name, identity)
-    with sole_maker(shared, name):
-        if take(shared, folder) is not None and finished.is_file():
-            print(f"{name}: trained before, taken from {shared}")
-            run_.avatar = load_avatar(finished, run_.avatar.body)
-            write_gaussians_ply(run_.folder / "point_cloud.ply", run_.avatar.gaussians)
-            if (folder / CURVE_TABLE).is_file():
-                shutil.copyfile(folder / CURVE_TABLE, run_.folder / CURVE_TABLE)
-            return
-        _train_stage(run_, name)
-        if (run_.folder / CURVE_TABLE).is_file():
-            shutil.copyfile(run_.folder / CURVE_TABLE, folder / CURVE_TABLE)
-        offer(shared, folder, folder / "stage.json", without=("last.ckpt",))
-
-
-def _train_stage(run_: Run, name: str) -> None:
-    settings, folder = run_.settings, run_.folder / name
-    _warm_up(run_, name)
-    stage, seconds_before = _optim_stage(run_) if name == "optim" else _refine_stage(run_)
-    guard = SignalGuard()
-    callbacks: list[L.Callback] = [guard]
-    if not settings.trainer.fast_dev_run:
-        callbacks.append(Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every))
-    if settings.evaluation.curve:
-        callbacks.append(_curve(run_))
-    if settings.trainer.enable_progress_bar:
-        callbacks.append(ProgressLine())
-    own: AvatarSettings = getattr(settings, name)
-    trainer = _trainer(settings, own.steps, callbacks)
-    checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
-    run_.avatar.train()
-    with guard:
-        trainer.fit(stage, datamodule=run_.data, ckpt_path=checkpoint, weights_only=True)
-    if guard.received is not None and trainer.global_step < trainer.max_steps:
-        raise Interrupted(guard.received, str(folder / "last.ckpt"))
-    _hand_over(run_, folder, seconds_before + stage.clock.seconds, trainer.global_step)
-
-
-def _optim_stage(run_: Run) -> tuple[AvatarStage, float]:
-    settings = run_.settings
-    stage = OptimStage(
-        run_.avatar,
-        settings.optim,
-        perceptual=run_.perceptual if settings.optim.lambda_lpips else None,
-        densifier=_make_densifier(settings.optim, settings.optim.lambda_rgb),
-        distiller=_make_distiller(run_),
-        backend=run_.backend,
-        seed=settings.seed,
-    )
-    return stage, 0.0
-
-
-def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
-    """Returns the stage, its references made, and the seconds that they took."""
-    settings, refine = run_.settings, run_.settings.refine
-    assert run_.moments is not None
-    identity = {"data": run_.data_hash, "avatar": file_digest(run_.folder / "optim" / "avatar.safetensors")}
-    references, seconds = make_references(
-        settings, run_.folder, run_.data, run_.avatar, run_.moments, identity, run_.backend, _device(settings)
-    )
-    run_.avatar.gaussians.allocate_bands(planning.refined_sh_degree(settings))
-    stage = RefineStage(
-        run_.avatar,
-        refine,
-        references,
-        perceptual=run_.perceptual if refine.lambda_lpips else None,
-        densifier=_make_densifier(refine, refine.lambda_rgb),
-        backend=run_.backend,
-        seed=settings.seed,
-        steps_before=planning.steps_of(settings, settings.optim),
-    )
-    return stage, seconds
-
-
-def _train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse:
-    """Trains the coarse avatar of a scene of the inpainter's corpus, or takes up one trained before."""
-    occlusion = {**settings.dataset.get("occlusion", {}), "kind": scene.occlusion, "share": scene.share}
-    dataset = {**settings.dataset, "scene": scene.scene, "cameras": 2, "occlusion": occlusion}
-    own = replace(
-        settings,
-        stage=Named("optim"),
-        variant=VariantSettings("B", ["init", "optim"]),
-        dataset=dataset,
-        optim=replace(settings.optim, sds=SdsSettings()),
-        evaluation=replace(settings.evaluation, curve=False, perceptual=False),
-        seed=scene.seed,
-        output_dir=str(folder),
-    )
-    run_ = _compose(own, folder_chosen_by_user=True)
-    assert run_.moments is not None
-    for stage in run_.stages:
-        if stage == "init":
-            _complete_masks(run_)
-        else:
-            _run_stage(run_, stage)
-    positions = range(len(run_.data.train_indices))
-    frames = [run_.data.train_frame(k, complete="init" in run_.stages) for k in positions]
-    return Coarse(run_.avatar.eval(), frames, run_.moments, run_.backend)
-
-
-def _warm_up(run_: Run, stage: str) -> None:
-    """Compiles what the first step would wait for, so that the first run on a machine trains no longer than others."""
-    seconds = warm_up(run_.backend, _device(run_.settings))
-    if seconds >= WARM_UP_SAID:
-        print(
-            f"{stage}: rasteriser {run_.backend} ready after {seconds:.1f} s, before the training clock starts"
-        )
-
-
-def _make_densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | None:
-    # the threshold belongs to a loss whose colour term has weight 1
-    return Densifier(settings.densification, loss_scale=lambda_rgb or 1.0) if settings.densify else None
-
-
-def _make_distiller(run_: Run) -> Distiller[Any] | None:
-    """Returns score distillation, its prior loaded, where the plan has a term of it."""
-    settings = run_.settings
-    if not any(decision.used for decision in planning.sds_decisions(settings, run_.moments)):
-        return None
-    assert run_.moments is not None
-    return Distiller(
-        make_score_prior(settings.prior, _device(settings)),
-        settings.optim.sds,
-        steps=settings.optim.steps,
-        moments=run_.moments,
-        body=run_.avatar.body,
-        backend=run_.backend,
-        seed=settings.seed,
-    )
-
-
-def _hand_over(run_: Run, folder: Path, seconds: float, steps: int) -> None:
-    """Writes what later stages and users take from a finished stage; the record comes last, for it says "done"."""
-    avatar, pose = run_.avatar.eval(), run_.data.pose(run_.data.train_indices[0])
-    folder.mkdir(parents=True, exist_ok=True)
-    save_avatar(folder / "avatar.safetensors", avatar)
-    write_gaussians_ply(run_.folder / "point_cloud.ply", avatar.gaussians)
-    first_pose = {"betas": pose.betas.tolist(), "body_pose": pose.body_pose.tolist()}
-    write_json(folder / "stage.json", {"train_seconds": seconds, "steps": steps, "first_pose": first_pose})
-
-
-def _trainer(settings: Settings, steps: int, callbacks: list[L.Callback]) -> L.Trainer:
-    trainer = settings.trainer
-    return L.Trainer(
-        accelerator=trainer.accelerator,
-        devices=trainer.devices,
-        max_steps=trainer.max_steps or steps,
-        max_epochs=-1,
-        max_time=trainer.max_time,
-        fast_dev_run=trainer.fast_dev_run,
-        logger=False,
-        enable_checkpointing=False,
-        enable_model_summary=False,
-        enable_progress_bar=trainer.enable_progress_bar,
-        callbacks=callbacks,
-    )
-
-
-def _curve(run_: Run) -> ErrorCurve:
-    evaluation = run_.settings.evaluation
-    frames = held_out_handful(run_.data, evaluation.curve_images)
-    perceptual = evaluation_metric(evaluation, run_.perceptual)
-    path = run_.folder / CURVE_TABLE
-    return ErrorCurve(path, frames, run_.render, evaluation.curve_first_second, perceptual)

@@ -32,6 +32,8 @@ PRIOR_STAGE = "prior"
 PRIORS = ("embedded", "sd15")
 PERCEPTUAL_INPUTS = ("centred", "unit")
 """What the evaluation's perceptual metric is fed: -1..1, as it was trained, or 0..1, as GauHuman's family does."""
+STRATEGIES = ("auto", "ddp")
+"""How several processes train one scene; both mean the same."""
 VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
 
 
@@ -73,6 +75,7 @@ class TrainerSettings:
 
     accelerator: str = "auto"
     devices: int = 1
+    strategy: str = "auto"
     fast_dev_run: bool = False
     max_steps: int | None = None
     max_time: str | None = None
@@ -159,7 +162,7 @@ def settings_hash(settings: Settings) -> str:
             del relevant["prior"]
     if not is_distilled:
         del relevant["optim"]["sds"]
-    for key in ("checkpoint_every", "enable_progress_bar"):
+    for key in ("checkpoint_every", "enable_progress_bar", "strategy"):
         del relevant["trainer"][key]
     del relevant["dataset"]["root"], relevant["variant"]["paper"]
     return hashlib.sha256(json.dumps(relevant, sort_keys=True, default=str).encode()).hexdigest()[:16]
@@ -195,11 +198,17 @@ def _check_choices(settings: Settings) -> None:
                 f"stage={stage}: variant={settings.variant.name} has no such stage; it has "
                 f"{', '.join(settings.variant.stages)}"
             )
+    if settings.trainer.devices > 1 and "refine" in stages_to_run(settings):
+        raise ConfigError(
+            f"trainer.devices={settings.trainer.devices}: the refinement stage runs in one process; train up to "
+            "variant=D in several, or leave trainer.devices at 1"
+        )
     _check_in("prior.name", str(settings.prior.get("name")), PRIORS)
     _check_in("init.source", settings.init.source, ("prior", "truth"))
     _check_in("plan", settings.plan, ("needed", "full"))
     _check_in("refine.source", settings.refine.source, ("prior", "coarse", "truth"))
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
+    _check_in("trainer.strategy", settings.trainer.strategy, STRATEGIES)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
     _check_in("optim.sh_frame", settings.optim.sh_frame, ("canonical", "world"))
     sds = settings.optim.sds

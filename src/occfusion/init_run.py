@@ -18,6 +18,7 @@ from occfusion.priors.masks import MaskPrior
 from occfusion.priors.moments import Moment, look
 from occfusion.priors.registry import make_mask_prior
 from occfusion.priors.truth import TruthMasks
+from occfusion.processes import is_helper
 from occfusion.sharing import discard, offer, shared_folder, sole_maker, take
 from occfusion.stages.framewise import predict_frames
 from occfusion.stages.init import InitStage, mask_path
@@ -48,6 +49,9 @@ def run_init(
         Interrupted: a signal stopped it; what is written stays.
     """
     masks = folder / "masks"
+    if is_helper():  # they are complete before the helpers are started
+        data.use_complete_masks(lambda frame: mask_path(masks, frame))
+        return
 
     def read(position: int) -> Frame:
         return data.train_frame(position, truth=False)
@@ -64,8 +68,9 @@ def run_init(
             if signal is not None and stage.wanted:
                 raise Interrupted(signal, str(stage.folder))
 
-    if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
-        complete([k for k in stage.wanted if k == data.position_at(0)])
+    if settings.trainer.fast_dev_run:  # the one frame that the trial step of each process will see
+        seen = {data.position_at(step) for step in range(settings.trainer.devices)}
+        complete([k for k in stage.wanted if k in seen])
     elif stage.wanted or not record.is_file():
         shared = shared_folder(folder, settings.shared_dir, "init", stage.identity)
         with sole_maker(shared, "init"):

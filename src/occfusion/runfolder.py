@@ -25,6 +25,7 @@ from occfusion.config import STAGES, Settings, settings_hash
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes, json_bytes, write_bytes, write_json
 from occfusion.files.lock import Taken, only_one
+from occfusion.processes import helped_folder, is_helper
 
 PACKAGES = (
     "torch", "lightning", "hydra-core", "kornia", "trimesh", "opencv-contrib-python-headless",
@@ -52,9 +53,13 @@ def claim_run_folder(settings: Settings, data_hash: str, *, chosen_by_user: bool
     run finds its own free; what an earlier trial with the same settings left there is removed, since a trial that
     took a result over would try nothing.
 
+    A process that helps another to train is given that one's folder.
+
     Raises:
         ConfigError: the named folder holds another run, or cannot be written.
     """
+    if (helped := helped_folder()) is not None:
+        return helped
     wanted, is_trial = Path(settings.output_dir), settings.trainer.fast_dev_run
     if is_trial and not chosen_by_user:
         wanted = wanted.with_name(wanted.name + TRIAL_SUFFIX)
@@ -84,11 +89,12 @@ def at_work(folder: Path) -> Iterator[None]:
     """Keeps a run folder to this process for the length of a `with` block.
 
     Raises:
-        ConfigError: another process is at work on this very run.
+        ConfigError: another process, which this one does not help, is at work on this very run.
     """
     with ExitStack() as stack:
         try:
-            stack.enter_context(only_one(folder / LOCK, wait=False))
+            if not is_helper():
+                stack.enter_context(only_one(folder / LOCK, wait=False))
         except Taken as holder:
             raise ConfigError(
                 f"output_dir={folder}: {holder} is at work on this very run; wait for it, or name another folder"

@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from occfusion import app
+from occfusion import avatar_run, run_objects
 from occfusion.errors import NumericsError
 from occfusion.priors import embedded_score
 from occfusion.priors.embedded_score import EmbeddedScore
@@ -71,11 +71,11 @@ def test_without_weight_nothing_is_built(train: Train, variant: str, monkeypatch
     def refused(*_: Any) -> None:
         raise AssertionError("built for a weight of zero")
 
-    monkeypatch.setattr(app, "make_score_prior", refused)
+    monkeypatch.setattr(avatar_run, "make_score_prior", refused)
     monkeypatch.setattr(Distiller, "__init__", refused)
     monkeypatch.setattr(embedded_score, "load_silhouette_net", refused)
     if variant != "B":
-        monkeypatch.setattr(app, "look_at_training_frames", refused)
+        monkeypatch.setattr(run_objects, "look_at_training_frames", refused)
     for library in ("diffusers", "transformers"):
         monkeypatch.setitem(sys.modules, library, None)
     folder, _ = train(f"variant={variant}", "trainer.fast_dev_run=true")
@@ -83,7 +83,7 @@ def test_without_weight_nothing_is_built(train: Train, variant: str, monkeypatch
 
 
 def test_whole_people_leave_nothing_to_push(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(app, "make_score_prior", lambda *_: pytest.fail("no frame hides anything"))
+    monkeypatch.setattr(avatar_run, "make_score_prior", lambda *_: pytest.fail("no frame hides anything"))
     folder, _ = train("variant=C", "trainer.fast_dev_run=true", "dataset.occlusion.kind=none")
     decisions = json.loads((folder / "plan.json").read_text())["decisions"]
     (reason,) = (d["reason"] for d in decisions if d["part"] == "loss term sds_pose")

@@ -55,7 +55,7 @@ def test_the_appearance_recipe_trains_its_coarse_avatars_once(
     def fail(*_: object) -> None:
         raise AssertionError("a coarse avatar was trained again")
 
-    monkeypatch.setattr("occfusion.app._train_coarse", fail)
+    monkeypatch.setattr("occfusion.app.train_coarse", fail)
     train(*options, "prior_training.steps=2")
 
 

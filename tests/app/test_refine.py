@@ -162,7 +162,7 @@ def test_an_unoccluded_scene_is_neither_completed_nor_inpainted(
     def fail(*_: object) -> None:
         raise AssertionError("a prior was made although nothing is hidden")
 
-    for place in ("init_run.make_mask_prior", "refine_run.make_inpainter", "app.make_score_prior"):
+    for place in ("init_run.make_mask_prior", "refine_run.make_inpainter", "avatar_run.make_score_prior"):
         monkeypatch.setattr(f"occfusion.{place}", fail)
     folder, metrics = train(
         "variant=E", "optim.steps=3", "optim.sds.lambda_can=0", "dataset.occlusion.kind=none"

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from occfusion import app, init_run
+from occfusion import avatar_run, init_run
 from occfusion.sharing import offer, shared_folder, take
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
@@ -94,19 +94,25 @@ def test_without_links_files_are_copied(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_the_optimisation_of_d_serves_e(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
     common = ("optim.steps=3", "refine.steps=2", "refine.source=coarse", "init.source=truth", "sds=code")
-    common = (*common, "optim.sds.lambda_pose=0", "optim.sds.lambda_can=0")  # weights alike, whatever they are
+    common = (
+        *common,
+        "optim.sds.lambda_pose=0",
+        "optim.sds.lambda_can=0",
+    )  # weights alike, whatever they are
     d, first = train("variant=D", *common, folder="d")
     trained: list[str] = []
-    original = app._train_stage
+    original = avatar_run._train_stage
 
     def count(run_: Any, name: str) -> None:
         trained.append(name)
         original(run_, name)
 
-    monkeypatch.setattr(app, "_train_stage", count)
+    monkeypatch.setattr(avatar_run, "_train_stage", count)
     e, second = train("variant=E", *common, folder="e")
     assert trained == ["refine"]
-    assert (e / "optim" / "avatar.safetensors").read_bytes() == (d / "optim" / "avatar.safetensors").read_bytes()
+    assert (e / "optim" / "avatar.safetensors").read_bytes() == (
+        d / "optim" / "avatar.safetensors"
+    ).read_bytes()
     assert second["train_seconds"]["optim"] == first["train_seconds"]["optim"] > 0
     stages = [row.split(",")[0] for row in (e / "error_vs_time.csv").read_text().splitlines()[1:]]
     assert stages[0] == "optim" and stages[-1] == "refine"

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from occfusion import app
+from occfusion import avatar_run
 from occfusion.splat import warm_up
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
@@ -20,7 +20,7 @@ CASE = """
 import sys
 from hydra import compose, initialize_config_dir
 from numba.core.registry import CPUDispatcher
-from occfusion import app
+from occfusion import avatar_run
 from occfusion.stages.optim import OptimStage
 
 def compiled():
@@ -68,7 +68,7 @@ def test_the_clock_stands_still_until_the_kernels_are_ready(
         time.sleep(3.0)
         return 3.0 + warm_up(backend, device)
 
-    monkeypatch.setattr(app, "warm_up", slowly)
+    monkeypatch.setattr(avatar_run, "warm_up", slowly)
     _, metrics = train("optim.steps=2")
     assert metrics["train_seconds"]["optim"] < 3.0
     assert "before the training clock" in capsys.readouterr().out

@@ -118,3 +118,15 @@ def test_cameras():
     for camera in (4, -1, True, None, "0"):
         with pytest.raises(ConfigError, match=r"dataset.train_camera"):
             held_out_cameras(None, camera, 4)
+
+
+@pytest.mark.parametrize("step", [0, 3, 100])
+@pytest.mark.parametrize("processes", [1, 2, 3, 7])
+def test_processes_share_one_sequence(step: int, processes: int):
+    """Together they see what one process would in as many steps as they are, whenever they begin."""
+    alone = list(islice(StepStream(lambda p: p, StepSampler(5, 2), lambda: step * processes), 6 * processes))
+    shares = [
+        list(islice(StepStream(lambda p: p, StepSampler(5, 2), lambda: step, lambda r=r: (r, processes)), 6))
+        for r in range(processes)
+    ]
+    assert [shares[k % processes][k // processes] for k in range(6 * processes)] == alone

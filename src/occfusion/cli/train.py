@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 import warnings
@@ -16,6 +17,12 @@ from omegaconf import DictConfig
 from occfusion.cli.launchers import is_parallel, missing_launcher
 from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, record_job, record_start
 from occfusion.errors import OccfusionError
+from occfusion.processes import is_helper
+
+NOT_IN_A_MULTIRUN = (
+    "trainer.devices > 1 starts more processes with the same command line, which a multirun is not for; run the "
+    "scenes one by one, or with one device each"
+)
 
 
 @dataclass
@@ -35,6 +42,8 @@ def main(config_dir: Path) -> int:
     """Runs the Hydra application over `config_dir`; returns the process's exit code."""
     state = _State()
     OUTCOME.exit_code = 0
+    if is_helper():  # one process tells the user enough; errors are another matter
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     if (problem := missing_launcher(sys.argv[1:])) is not None:
         print(f"ConfigError: {problem}", file=sys.stderr)
         return 1
@@ -67,6 +76,8 @@ def main(config_dir: Path) -> int:
 def _job_of_many(config: DictConfig, overrides: list[str], number: int, state: _State) -> JobRecord:
     """Runs a job of a multirun; whatever happens to it, the others are not lost."""
     called = " ".join(overrides)
+    if config.trainer.devices != 1:
+        return JobRecord(number, called, error=NOT_IN_A_MULTIRUN, exit_code=1)
     if state.stopped is not None:
         return JobRecord(number, called, error=f"not started: {state.stopped}", exit_code=1)
     try:
@@ -82,14 +93,22 @@ def _job_of_many(config: DictConfig, overrides: list[str], number: int, state: _
 def _job(config: DictConfig, overrides: list[str], number: int) -> JobRecord:
     # Lightning's advice on worker counts and missing loggers does not apply to these loaders
     warnings.filterwarnings("ignore", module="lightning.*")
+    # nor does DDP's on the memory layout of small gradients
+    warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
     chosen = any(override.lstrip("+").startswith("output_dir=") for override in overrides)
     called = " ".join(overrides)
     try:
         folder = _finished_before(config, chosen) or _run(config, chosen)
     except OccfusionError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return JobRecord(number, called, error=str(error), exit_code=getattr(error, "exit_code", 1))
+        return JobRecord(number, called, error=str(error), exit_code=_exit_code(error))
     return JobRecord(number, called, folder=None if folder is None else str(folder))
+
+
+def _exit_code(error: OccfusionError) -> int:
+    code: int = getattr(error, "exit_code", 1)
+    # a helper that was stopped has done its duty; Lightning would kill all others over any other code
+    return 0 if is_helper() and code > 128 else code
 
 
 def _finished_before(config: DictConfig, chosen: bool) -> Path | None:

@@ -180,7 +180,10 @@ class HumanDataModule(L.LightningDataModule):
         return self._open()[1].test_frame(frame, camera)
 
     def train_dataloader(self) -> DataLoader[Frame]:
-        """Returns an endless loader that begins at the trainer's step and gives one frame at a time."""
+        """Returns an endless loader that begins at the trainer's step and gives one frame at a time.
+
+        Of several processes each is given another frame of a step.
+        """
         _, views, sampler = self._open()
 
         def read(position: int) -> Frame:
@@ -189,7 +192,10 @@ class HumanDataModule(L.LightningDataModule):
         def first_step() -> int:
             return 0 if self.trainer is None else self.trainer.global_step
 
-        return DataLoader(StepStream(read, sampler, first_step), batch_size=None)
+        def share() -> tuple[int, int]:
+            return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
+
+        return DataLoader(StepStream(read, sampler, first_step, share), batch_size=None)
 
     def test_dataloader(self) -> DataLoader[Frame]:
         """Returns a loader over the held-out views that show a person, one at a time."""

@@ -55,7 +55,11 @@ class StepStream(IterableDataset[Frame]):
     """Endless frames from a given step on."""
 
     def __init__(
-        self, read: Callable[[int], Frame], sampler: StepSampler, first_step: Callable[[], int]
+        self,
+        read: Callable[[int], Frame],
+        sampler: StepSampler,
+        first_step: Callable[[], int],
+        share: Callable[[], tuple[int, int]] = lambda: (0, 1),
     ) -> None:
         """Makes the stream.
 
@@ -63,14 +67,19 @@ class StepStream(IterableDataset[Frame]):
             read: gives the frame at a position.
             sampler: step to position.
             first_step: asked each time that iteration begins: the steps already taken.
+            share: asked then as well: the number of this process, and of how many that take each step together.
+                They are dealt one process's sequence of frames in turn.
         """
         self._read = read
         self._sampler = sampler
         self._first_step = first_step
+        self._share = share
 
     def __iter__(self) -> Iterator[Frame]:
         """Yields the frames of the steps to come."""
-        return prefetched(self._read, map(self._sampler.position_at, count(self._first_step())))
+        rank, processes = self._share()
+        drawn = count(self._first_step() * processes + rank, processes)
+        return prefetched(self._read, map(self._sampler.position_at, drawn))
 
 
 class ViewStream(IterableDataset[Frame]):

@@ -43,19 +43,16 @@ class Checkpointing(L.Callback):
         self._saved_step = -1
 
     def save(self, trainer: L.Trainer, stage: Stage) -> None:
-        """Writes the checkpoint of the step just finished; saving the same step twice does nothing.
-
-        Raises:
-            CheckpointError: the disk refuses; the checkpoint before stays.
-        """
+        """Writes the checkpoint of the step just finished; saving the same step twice does nothing."""
         if trainer.global_step == self._saved_step:
             return
         with stage.clock.paused():
             self.path.parent.mkdir(parents=True, exist_ok=True)
             partial = self.path.with_suffix(".partial")
             try:
-                trainer.save_checkpoint(partial)
-                os.replace(partial, self.path)
+                trainer.save_checkpoint(partial)  # of several processes the first writes, and all wait for it
+                if trainer.is_global_zero:
+                    os.replace(partial, self.path)
             except OSError as error:
                 partial.unlink(missing_ok=True)
                 raise CheckpointError(
@@ -81,7 +78,9 @@ class Checkpointing(L.Callback):
         """Saves the last good state when a non-finite value stops the run.
 
         The guard raises before the optimiser's step, so parameters are those of the step before. After any
-        other exception the state may be half a step: the file of the last whole interval stands.
+        other exception the state may be half a step: the file of the last whole interval stands. So it does where
+        several processes train together, for the others do not know of the exception.
         """
-        if isinstance(exception, NumericsError) and isinstance(pl_module, Stage):
+        alone = trainer.world_size == 1
+        if alone and isinstance(exception, NumericsError) and isinstance(pl_module, Stage):
             self.save(trainer, pl_module)

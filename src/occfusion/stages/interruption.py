@@ -7,6 +7,7 @@ from types import FrameType
 from typing import Any
 
 import lightning as L
+import torch
 
 from occfusion.errors import OccfusionError
 
@@ -61,6 +62,9 @@ class SignalGuard(L.Callback):
         self.on_train_start(trainer, pl_module)
 
     def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
-        """Stops the loop when a signal has come."""
+        """Stops the loop when a signal has come, to any of the processes that train together."""
+        if trainer.world_size > 1:  # a process that stopped alone would be waited for
+            own = torch.tensor(float(self.received or 0), device=trainer.strategy.root_device)
+            self.received = int(trainer.strategy.reduce(own, reduce_op="max")) or None
         if self.received is not None:
             trainer.should_stop = True

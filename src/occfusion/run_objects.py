@@ -1,0 +1,110 @@
+"""The objects of a run, composed from its settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from occfusion import plan as planning
+from occfusion.compose import make_body, make_data
+from occfusion.config import Settings, stages_to_run
+from occfusion.data.module import HumanDataModule
+from occfusion.files.atomic import write_json
+from occfusion.human import Avatar
+from occfusion.init_run import look_at_training_frames
+from occfusion.inpaint.registry import check_inpainter
+from occfusion.perceptual import PerceptualMetric, load_perceptual
+from occfusion.priors.moments import Moment
+from occfusion.priors.registry import check_score_prior
+from occfusion.processes import is_helper, local_rank
+from occfusion.render import render_frame
+from occfusion.runfolder import claim_run_folder
+from occfusion.splat import resolve_backend
+from occfusion.types import Frame, Rendering
+
+
+@dataclass
+class Run:
+    """The objects of one run.
+
+    Attributes:
+        settings: typed and checked.
+        folder: the run folder, claimed.
+        data: the training and held-out frames.
+        avatar: as far as it is trained.
+        perceptual: the perceptual metric, None where neither training nor evaluation asks for it.
+        backend: of the rasteriser.
+        moments: what masks and poses say of the training frames; None where no prior is asked.
+        data_hash: of all that is read.
+        stages: those that will run, in order: what the scene does not need is left out.
+    """
+
+    settings: Settings
+    folder: Path
+    data: HumanDataModule
+    avatar: Avatar
+    perceptual: PerceptualMetric | None
+    backend: str
+    moments: list[Moment] | None
+    data_hash: str
+    stages: list[str]
+
+    def render(self, frame: Frame) -> Rendering:
+        """Returns the avatar as the frame's camera sees it."""
+        return render_frame(self.avatar, frame, self.backend)
+
+
+def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
+    """Returns the objects of a run, its data checked and its folder claimed; writes the plan.
+
+    Raises:
+        OccfusionError: anything that the user can mend.
+    """
+    body = make_body(settings.body)
+    data = make_data(settings, body)
+    data.validate()
+    summary = data.summary()
+    backend = resolve_backend(settings.rasterizer.name, device_of(settings), torch.float32)
+    if settings.optim.sds.is_used and "optim" in stages_to_run(settings):
+        check_score_prior(settings.prior)
+    if settings.refine.source == "prior" and "refine" in stages_to_run(settings):
+        check_inpainter(settings.prior, device_of(settings))
+    folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
+    is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
+    moments = look_at_training_frames(data, body) if is_prior_asked else None
+    if moments is not None and settings.plan == "full":
+        moments = planning.with_everything(moments)
+    decisions = planning.make_plan(settings, summary, backend, moments)
+    if not is_helper():
+        write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
+    stages = [
+        stage for stage in stages_to_run(settings) if f"stage {stage}" not in planning.left_out(decisions)
+    ]
+    for stage in stages_to_run(settings):
+        if stage not in stages:
+            print(f"{stage}: left out, no frame is occluded")
+    if not is_helper():
+        data.store_occlusion(folder / "occlusion")
+    perceptual = None
+    trained = [getattr(settings, stage) for stage in stages if stage != "init"]
+    if settings.evaluation.perceptual or any(stage.lambda_lpips for stage in trained):
+        perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
+    optim = settings.optim
+    avatar = Avatar(
+        body,
+        sh_degree=planning.reached_sh_degree(settings),
+        refine_pose=optim.refine_pose,
+        learn_skinning=optim.learn_skinning,
+        skinning_every=optim.skinning_every,
+        sh_frame=optim.sh_frame,
+    )
+    return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"], stages)
+
+
+def device_of(settings: Settings) -> torch.device:
+    """Returns where a run computes."""
+    accelerator = settings.trainer.accelerator
+    on_gpu = accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
+    return torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")

@@ -1,0 +1,143 @@
+"""One scene trained by two processes: other frames, averaged gradients, equal parameters, one set of files."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from app.test_multirun import COMMAND, ENVIRONMENT
+from occfusion.data.sampling import StepSampler
+from occfusion.processes import helped_folder
+
+RECORDER = Path(__file__).with_name("two_processes.py")
+DENSE = ["optim.densify=true", "optim.densification.after_step=1", "optim.densification.every=2"]
+
+
+def command(scene_root: Path, *overrides: str) -> list[str]:
+    scene = [
+        f"dataset.root={scene_root}", "dataset.scene=001-clean", f"body.path={scene_root}/001-clean/body.npz",
+        "dataset.test_cameras=[1]", "dataset.test_frames=[0,10,9]", "evaluation.pictures=false", "rasterizer=numba",
+        "trainer.accelerator=cpu", "trainer.devices=2", "trainer.strategy=ddp", "variant=A",
+    ]  # fmt: skip
+    common = [word for word in COMMAND[1:] if word != "-m" and not word.startswith("hydra.")]
+    return [sys.executable, str(RECORDER), *common, *scene, *overrides]
+
+
+def train(
+    cwd: Path, scene_root: Path, *overrides: str, records: str, **environment: str
+) -> tuple[Any, list[Any]]:
+    done = subprocess.run(
+        command(scene_root, *overrides), cwd=cwd, capture_output=True, text=True, timeout=280, check=False,
+        env={**ENVIRONMENT, "RECORDS": str(cwd / records), **environment},
+    )  # fmt: skip
+    files = [cwd / records / f"{rank}.pt" for rank in (0, 1)]
+    if not environment:
+        assert done.returncode == 0, done.stderr
+    return done, [torch.load(file, weights_only=True) for file in files if file.is_file()]
+
+
+def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
+    assert a.keys() == b.keys()
+    for name in a:
+        assert torch.equal(a[name], b[name]), name
+
+
+def test_two_processes_train_one_avatar(tmp_path: Path, scene_root: Path) -> None:
+    done, (first, second) = train(tmp_path, scene_root, "optim.steps=6", records="whole")
+    assert done.returncode == 0, done.stderr
+    sampler = StepSampler(10, 0)
+    dealt = [f"Camera_B1/{sampler.position_at(k):06d}" for k in range(12)]
+    assert (first["frames"][:6], second["frames"][:6]) == (dealt[0::2], dealt[1::2])
+    for step in range(6):
+        mean = (first["local"][step] + second["local"][step]) / 2
+        assert torch.allclose(first["averaged"][step], mean, rtol=1e-5, atol=1e-9)
+        assert torch.equal(first["averaged"][step], second["averaged"][step])
+        assert not torch.allclose(first["local"][step], second["local"][step], rtol=1e-2)
+    assert_same(first["state"], second["state"])
+    folder = tmp_path / "runs/zju/001-clean/A"
+    written = load_file(folder / "optim" / "avatar.safetensors")
+    assert torch.equal(written["gaussians.means"], first["state"]["gaussians.means"])
+    assert [path.name for path in folder.parent.iterdir() if not path.name.startswith(".")] == ["A"]
+    assert done.stdout.count("run folder: ") == 1 and not list(folder.rglob("*.partial"))
+    assert (folder / "error_vs_time.csv").read_text().count("\noptim,") == 2
+
+
+@pytest.mark.slow
+def test_stopped_by_a_signal_to_one_of_them_and_resumed(tmp_path: Path, scene_root: Path) -> None:
+    """Both stop after the same step, and the same command gives what an uninterrupted one does, bit for bit."""
+    options = ["optim.steps=7", "trainer.checkpoint_every=100"]
+    whole, (expected, _) = train(tmp_path, scene_root, *options, "output_dir=whole", records="whole")
+    assert whole.returncode == 0, whole.stderr
+    stopped, records = train(
+        tmp_path, scene_root, *options, "output_dir=parts", records="stopped", STOP_AT="3"
+    )
+    assert stopped.returncode == 143, stopped.stderr
+    assert "the same command continues" in stopped.stderr
+    assert [len(record["local"]) for record in records] == [3, 3]
+    resumed, (first, second) = train(tmp_path, scene_root, *options, "output_dir=parts", records="resumed")
+    assert resumed.returncode == 0, resumed.stderr
+    assert len(first["local"]) == 4
+    assert_same(first["state"], second["state"])
+    assert_same(first["state"], expected["state"])
+
+
+@pytest.mark.slow
+def test_densification_is_the_same_in_both(tmp_path: Path, scene_root: Path) -> None:
+    """Gaussians are added between steps, and what takes their place is averaged as before."""
+    done, (first, second) = train(tmp_path, scene_root, "optim.steps=6", *DENSE, records="dense")
+    assert done.returncode == 0, done.stderr
+    assert first["gaussians"] == second["gaussians"] and first["gaussians"][-1] > first["gaussians"][0]
+    assert_same(first["state"], second["state"])
+    for step in range(6):
+        mean = (first["local"][step] + second["local"][step]) / 2
+        assert torch.allclose(first["averaged"][step], mean, rtol=1e-5, atol=1e-9)
+    stopped, _ = train(
+        tmp_path, scene_root, "optim.steps=7", *DENSE, "output_dir=p", records="p", STOP_AT="3"
+    )
+    assert stopped.returncode == 143, stopped.stderr
+    resumed, (first, second) = train(
+        tmp_path, scene_root, "optim.steps=7", *DENSE, "output_dir=p", records="q"
+    )
+    assert resumed.returncode == 0, resumed.stderr
+    assert_same(first["state"], second["state"])
+
+
+@pytest.mark.slow
+def test_a_trial_and_complete_masks_in_two_processes(tmp_path: Path, scene_root: Path) -> None:
+    done, records = train(
+        tmp_path, scene_root, "variant=B", "init.source=truth", "trainer.fast_dev_run=true", records="trial"
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(records) == 2
+    assert (tmp_path / "runs/zju/001-clean/B-trial/metrics.json").is_file()
+
+
+def test_a_multirun_refuses_several_processes_a_scene(tmp_path: Path, scene_root: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, *COMMAND, "variant=A", "seed=0,1", "trainer.devices=2"], cwd=tmp_path, env=ENVIRONMENT,
+        capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stdout.count("which a multirun is not for") == 2
+
+
+def test_a_process_that_another_launcher_has_numbered_is_told_so(tmp_path: Path, scene_root: Path) -> None:
+    done, _ = train(tmp_path, scene_root, "optim.steps=2", records="none", LOCAL_RANK="1")
+    assert done.returncode == 1
+    assert "`python train.py` starts the others itself" in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_who_helps_nobody_has_no_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("LOCAL_RANK", raising=False)
+    assert helped_folder() is None
+    monkeypatch.setenv("LOCAL_RANK", "0")
+    monkeypatch.setenv("OCCFUSION_RUN_FOLDER", os.sep)
+    assert helped_folder() is None
+    monkeypatch.setenv("LOCAL_RANK", "2")
+    assert helped_folder() == Path(os.sep)
