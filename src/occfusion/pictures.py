@@ -64,5 +64,8 @@ def write_comparison(path: Path, frames: Sequence[Frame], render: Callable[[Fram
             )
             top += rows[-1].shape[0]
     if rows:
-        write_png(path, np.concatenate(rows))
+        widest = max(row.shape[1] for row in rows)  # rows without truth are shorter
+        margins = [((0, 0), (0, widest - row.shape[1]), (0, 0)) for row in rows]
+        padded = [np.pad(row, m, constant_values=255) for row, m in zip(rows, margins, strict=True)]
+        write_png(path, np.concatenate(padded))
         write_json(path.with_suffix(".json"), {"views": views})

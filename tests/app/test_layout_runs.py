@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
@@ -59,11 +61,40 @@ def test_video_with_held_out_frames(source: Source, tmp_path: Path) -> None:
     assert metrics["images"] == 1 and metrics["regions"]["full"]["psnr"] > 5
 
 
+def test_frames_in_which_somebody_else_hides_the_person(source: Source, tmp_path: Path) -> None:
+    """Some frames have a truth and some have none: tables and pictures must do with both."""
+    folder = writers.write_video(source, tmp_path / "crowd")
+    for frame, path in enumerate(sorted((folder / "masks").iterdir())):
+        numbers = source.mask(frame) * np.uint8(3)
+        if frame == 1:
+            rows = np.flatnonzero(numbers.any(axis=1))
+            numbers[rows.mean().astype(int) :][numbers[rows.mean().astype(int) :] > 0] = 5
+        assert cv2.imwrite(str(path), numbers)
+    metrics = train(
+        source, tmp_path / "run", "dataset=video", f"dataset.root={tmp_path}", "dataset.scene=crowd",
+        "dataset.person=3", "dataset.occluded=false", "dataset.test_cameras=[0]", "dataset.test_frames=[0,4,1]",
+        "evaluation.training_stride=1",
+    )  # fmt: skip
+    regions = metrics["regions"]
+    assert (
+        regions["full"]["images"] == 3 and regions["visible"]["images"] == 4
+    )  # nobody knows what the second hides
+    assert regions["visible"]["mask_iou"] > 0.3 and regions["hidden"]["images"] == 0
+    views = json.loads((tmp_path / "run" / "pictures" / "training.json").read_text())["views"]
+    assert sorted(len(view["parts"]) for view in views) == [2] + [4] * (len(views) - 1)
+    picture = cv2.imread(str(tmp_path / "run" / "pictures" / "training.png"))
+    assert picture.shape[1] == 4 * 96
+    summary = json.loads((tmp_path / "run" / "plan.json").read_text())["scene"]
+    assert summary["occluded_frames"] == 1 and summary["visible_share"]["1"] < 0.8
+
+
 def test_every_layout_takes_the_same_first_steps(source: Source, tmp_path: Path) -> None:
     writers.write_refined(source, tmp_path)
     writers.write_humannerf(source, tmp_path / "plain")
     writers.write_w2a(source, tmp_path)
     writers.write_video(source, tmp_path / "mine")
+    writers.write_stamped(source, tmp_path)
+    writers.write_chomp(source, tmp_path / "raw")
     shared = ("dataset.train_frames=[0,4,1]", "dataset.occlusion.kind=none", "evaluation.held_out=false",
               "evaluation.curve=false", "evaluation.pictures=false", "evaluation.training_views=false")  # fmt: skip
     runs = {
@@ -73,10 +104,15 @@ def test_every_layout_takes_the_same_first_steps(source: Source, tmp_path: Path)
             f"dataset.scene={source.folder.name}",
         ),
         "refined": ("dataset=zju", f"dataset.root={tmp_path}", "dataset.scene=my_377"),
+        "313": ("dataset=zju", f"dataset.root={tmp_path}", "dataset.scene=CoreView_313"),
         "humannerf": ("dataset=zju", f"dataset.root={tmp_path}", "dataset.scene=plain"),
         "w2a": ("dataset=ocmotion", f"dataset.root={tmp_path}", "dataset.scene=0013_02"),
+        "chomp": (
+            "dataset=ocmotion", f"dataset.root={tmp_path / 'raw'}", "dataset.scene=0013_02",
+            "dataset.numbered_masks=true", "dataset.person=1",
+        ),
         "video": ("dataset=video", f"dataset.root={tmp_path}", "dataset.scene=mine"),
-    }
+    }  # fmt: skip
     states = {}
     for name, overrides in runs.items():
         train(source, tmp_path / "runs" / name, *overrides, *shared)

@@ -11,12 +11,14 @@ import logging
 import os
 import shutil
 import struct
+import warnings
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from data import layout_writers as writers
 from data.layout_writers import Source
@@ -240,8 +242,17 @@ def test_02_code_is_refused_by_name_and_not_run(scene, tmp_path):
 
 
 def test_03_official_bodies_need_no_chumpy(tmp_path):
-    body = load_body_arrays(official_pickle(tmp_path / "SMPL_NEUTRAL.pkl", body_content(), 2))
+    path = official_pickle(tmp_path / "SMPL_NEUTRAL.pkl", body_content(), 2)
+    body = load_body_arrays(path)
     assert body.shapedirs.shape[2] == 10 and body.posedirs is not None
+    always = torch.is_warn_always_enabled()
+    torch.set_warn_always(True)  # PyTorch warns of read-only arrays once a process
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert load_body(path).num_vertices == len(body.v_template)
+    finally:
+        torch.set_warn_always(always)
 
 
 def test_04_bodies_of_300_components_take_ten_betas_and_rows_are_counted(video, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -62,14 +63,45 @@ def test_a_sound_folder(scene, capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "write", [writers.write_refined, writers.write_stamped, writers.write_w2a, writers.write_video]
+    "write",
+    [
+        writers.write_refined,
+        writers.write_stamped,
+        writers.write_w2a,
+        writers.write_video,
+        writers.write_humannerf,
+    ],
 )
 def test_a_folder_of_other_layouts(write, scene, capsys, tmp_path):
     target = tmp_path / "other"
-    folder = write(scene, target / "mine" if write is writers.write_video else target)
+    named = write in (writers.write_video, writers.write_humannerf)
+    folder = write(scene, target / "mine" if named else target)
     code, said = check(capsys, target, "--body", scene.folder / "body.npz", "--strict")
     assert code == 0, said
     assert str(folder) in said and "hidden share by frame" in said
+
+
+def test_the_raw_release(scene, capsys, tmp_path):
+    folder, body = writers.write_chomp(scene, tmp_path / "raw"), ("--body", scene.folder / "body.npz")
+    code, said = check(capsys, folder, *body)
+    assert code == 1 and "name one (--scene here, dataset.scene in training) of 0001_01, 0013_02" in said
+    code, said = check(capsys, folder, *body, "--scene", "0013_02", "--strict")
+    assert code == 2 and "the people 7 are annotated beside person 1" in said and "--numbered-masks" in said
+    code, said = check(
+        capsys, folder, *body, "--scene", "0013_02", "--person", 1, "--numbered-masks", "--strict"
+    )
+    assert code == 0 and "chomp: 4 frames, 2 cameras" in said, said
+
+
+def test_other_people_are_seen(scene, capsys, tmp_path):
+    folder = writers.write_video(scene, tmp_path / "mine")
+    path = sorted((folder / "masks").iterdir())[1]
+    numbers = scene.mask(1) * np.uint8(255)
+    numbers[numbers.shape[0] // 2 :][numbers[numbers.shape[0] // 2 :] > 0] = 9
+    cv2.imwrite(str(path), numbers)
+    code, said = check(capsys, folder, "--body", scene.folder / "body.npz", "--person", 255)
+    shares = re.search(r"estimated from the projected body\): 0: (\d+)%, 1: (\d+)%", said)
+    assert code == 0 and int(shares[1]) < 15 and int(shares[2]) > 25, said
 
 
 def test_without_a_body_file_it_is_said_that_the_fit_is_rough(scene, capsys):

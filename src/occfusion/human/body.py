@@ -67,9 +67,11 @@ class Body(nn.Module):
             "weights": arrays.weights,
         }
         for name, array in floats.items():
-            tensor = None if array is None else torch.as_tensor(array).to(dtype)
+            tensor = (
+                None if array is None else torch.tensor(array, dtype=dtype)
+            )  # a copy: arrays may be read-only
             self.register_buffer(name, tensor, persistent=False)
-        self.register_buffer("faces", torch.as_tensor(arrays.faces), persistent=False)
+        self.register_buffer("faces", torch.tensor(arrays.faces), persistent=False)
 
     @property
     def num_vertices(self) -> int:
