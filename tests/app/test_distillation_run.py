@@ -96,7 +96,7 @@ def test_variant_without_masks_can_distil_as_well(train: Train, calls: list[tupl
 
 
 def test_score_that_is_not_finite_stops_and_keeps_the_last_good_state(
-    train: Train, monkeypatch: pytest.MonkeyPatch
+    train: Train, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     original, asked = EmbeddedScore.predict_noise, []
 
@@ -107,6 +107,7 @@ def test_score_that_is_not_finite_stops_and_keeps_the_last_good_state(
 
     options = ("variant=C", SHORT, "optim.sds.posed_probability=1", "dataset.occlusion.fraction=1")
     whole, _ = train(*options, folder="whole")
+    options = (*options, f"shared_dir={tmp_path / 'apart'}")  # or the whole run's optimisation would be taken over
     with monkeypatch.context() as patch:
         patch.setattr(EmbeddedScore, "predict_noise", fails_at_the_third)
         with pytest.raises(

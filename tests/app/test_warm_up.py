@@ -20,7 +20,7 @@ CASE = """
 import sys
 from hydra import compose, initialize_config_dir
 from numba.core.registry import CPUDispatcher
-from occfusion import avatar_run
+from occfusion import app
 from occfusion.stages.optim import OptimStage
 
 def compiled():
