@@ -142,18 +142,22 @@ def test_the_hand_over_does_not_stall(train: Train, green: Green) -> None:
     assert moved[: len(moved) // 20].mean() > 0.1 * 100 * 2.5e-3
 
 
-def test_scaling_all_weights_changes_nothing(train: Train) -> None:
-    """Adam does not see a common factor of the loss, nor does densification."""
+def test_scaling_all_weights_changes_nothing(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Adam does not see a common factor of the loss, nor does densification; one of two is exact but for Adam's floor.
+
+    The floor is lowered for the test: round Gaussians have gradients of their rotation as small as it.
+    """
+    monkeypatch.setattr("occfusion.stages.avatar.ADAM_EPS", 1e-18)
     options = [*SHORT, "optim.densification.after_step=3", "optim.densification.every=4", "refine.steps=6"]
     scaled = ["refine.lambda_rgb=1024", "refine.lambda_mask=102.4", "refine.lambda_gen=102.4"]
     a, _ = train(*options, folder="a")
     b, _ = train(*options, *scaled, folder="b")
     first, second = parameters(a), parameters(b)
     assert len(first["gaussians.means"]) != 6890, "densification has worked"
-    for name in first:  # but for those whose gradient is as small as Adam's floor
+    for name in first:
         assert len(first[name]) == len(second[name])
         apart = (first[name].double() - second[name].double()).abs()
-        assert float((apart > 1e-5 + 1e-4 * first[name].abs()).double().mean()) < 1e-3, name
+        assert int((apart > 1e-5 + 1e-4 * first[name].abs()).sum()) <= 1e-3 * apart.numel(), name  # no band: no number
 
 
 def test_an_unoccluded_scene_is_neither_completed_nor_inpainted(
