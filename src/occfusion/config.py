@@ -253,6 +253,7 @@ def _check_avatar_ranges(name: str, stage: AvatarSettings, terms: tuple[str, ...
         raise ConfigError(f"settings {name}.lambda_*: all weights are zero, so there is nothing to train")
     for key, value in vars(stage.rates).items():
         _check_range(f"{name}.rates.{key}", value, 0.0, 10.0)
+    _check_range(f"{name}.rates_at_end", stage.rates_at_end, 0.0, 1.0)
     _check_range(f"{name}.steps", stage.steps, 1, 10_000_000)
     _check_range(f"{name}.perceptual_every", stage.perceptual_every, 1, 10_000)
     _check_range(f"{name}.perceptual_crop", stage.perceptual_crop, 32, 2048)

@@ -134,6 +134,8 @@ class AvatarStage(Stage):
         Fresh also where a stage takes an avatar over: the moments of a loss of another scale would stall it.
         """
         groups = self.avatar.parameter_groups(vars(self._schedule.rates))
+        for group in groups:
+            group["first_lr"] = group["lr"]
         return torch.optim.Adam(groups, eps=ADAM_EPS, fused=False)
 
     def on_train_start(self) -> None:
@@ -158,9 +160,11 @@ class AvatarStage(Stage):
         degree = min(settings.sh_degree, step // settings.sh_every)
         self.avatar.active_sh_degree = max(self.avatar.active_sh_degree, degree)
         self.avatar.prepare(step)
+        decay = settings.rates_at_end ** (self.global_step / settings.steps)
         for group in self._adam().param_groups:
-            if group["name"] == "means":
-                group["lr"] = means_rate(step, settings.rates.means, settings.rates.means_final)
+            is_means = group["name"] == "means"
+            rate = means_rate(step, settings.rates.means, settings.rates.means_final) if is_means else group["first_lr"]
+            group["lr"] = decay * rate
 
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
         """Checks the gradients and collects what densification needs of them."""

@@ -130,6 +130,7 @@ class AvatarSettings:
         densify: whether Gaussians are added, joined and removed.
         densification: thresholds and schedule, counted over all stages.
         rates: Adam's.
+        rates_at_end: factor on all rates at the stage's last step, reached exponentially; 1: none.
     """
 
     steps: int = 1200
@@ -140,6 +141,7 @@ class AvatarSettings:
     densify: bool = False
     densification: Densification = field(default_factory=Densification)
     rates: RateSettings = field(default_factory=RateSettings)
+    rates_at_end: float = 1.0
 
 
 @dataclass
@@ -168,11 +170,11 @@ class RefineSettings(AvatarSettings):
     """
 
     source: str = "prior"
-    steps: int = 1800
+    steps: int = 1200
     lambda_rgb: float = 1.0
-    lambda_mask: float = 0.1
+    lambda_mask: float = 4.0
     lambda_gen: float = 0.1
-    lambda_lpips: float = 0.2
-    lambda_ssim: float = 0.0
-    sh_degree: int = 3
+    lambda_lpips: float = 0.1
+    lambda_ssim: float = 0.2
     densify: bool = True
+    rates_at_end: float = 0.3
