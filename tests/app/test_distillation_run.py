@@ -107,7 +107,10 @@ def test_score_that_is_not_finite_stops_and_keeps_the_last_good_state(
 
     options = ("variant=C", SHORT, "optim.sds.posed_probability=1", "dataset.occlusion.fraction=1")
     whole, _ = train(*options, folder="whole")
-    options = (*options, f"shared_dir={tmp_path / 'apart'}")  # or the whole run's optimisation would be taken over
+    options = (
+        *options,
+        f"shared_dir={tmp_path / 'apart'}",
+    )  # or the whole run's optimisation would be taken over
     with monkeypatch.context() as patch:
         patch.setattr(EmbeddedScore, "predict_noise", fails_at_the_third)
         with pytest.raises(

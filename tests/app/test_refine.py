@@ -157,7 +157,9 @@ def test_scaling_all_weights_changes_nothing(train: Train, monkeypatch: pytest.M
     for name in first:
         assert len(first[name]) == len(second[name])
         apart = (first[name].double() - second[name].double()).abs()
-        assert int((apart > 1e-5 + 1e-4 * first[name].abs()).sum()) <= 1e-3 * apart.numel(), name  # no band: no number
+        assert int((apart > 1e-5 + 1e-4 * first[name].abs()).sum()) <= 1e-3 * apart.numel(), (
+            name
+        )  # no band: no number
 
 
 def test_an_unoccluded_scene_is_neither_completed_nor_inpainted(

@@ -163,7 +163,11 @@ class AvatarStage(Stage):
         decay = settings.rates_at_end ** (self.global_step / settings.steps)
         for group in self._adam().param_groups:
             is_means = group["name"] == "means"
-            rate = means_rate(step, settings.rates.means, settings.rates.means_final) if is_means else group["first_lr"]
+            rate = (
+                means_rate(step, settings.rates.means, settings.rates.means_final)
+                if is_means
+                else group["first_lr"]
+            )
             group["lr"] = decay * rate
 
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
