@@ -73,7 +73,10 @@ def make_plan(
 
 
 def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
-    """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order."""
+    """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order.
+
+    Where no frame is occluded, neither has anything to add to what is seen.
+    """
     sds = settings.optim.sds
     reasons = [f"optim.sds.lambda_{name} = {getattr(sds, f'lambda_{name}'):g}" for name in ("pose", "can")]
     used = [sds.lambda_pose > 0, sds.lambda_can > 0]
@@ -81,6 +84,9 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
         hidden = sum(bool(moment.evidence.hidden.any()) for moment in moments)
         reasons[0] += f"; {hidden} of {len(moments)} training frames have hidden pixels to push"
         used[0] = hidden > 0
+    if moments is not None and not _occluded(moments):
+        reasons = [f"{reason}; {_hidden_reason(moments)}" for reason in reasons]
+        used = [False, False]
     names = ("loss term sds_pose", "loss term sds_can")
     return [Decision(*parts) for parts in zip(names, used, reasons, strict=True)]
 
