@@ -29,7 +29,7 @@ def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def test_train_with_all_defaults_on_a_tiny_scene(tmp_path: Path) -> None:
     done = run(str(ROOT / "train.py"), "trainer.fast_dev_run=true", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "run folder: runs/synthetic/001-clean/B" in done.stdout
+    assert "run folder: runs/synthetic/001-clean/E" in done.stdout
     assert "ST-LPIPS (VGG)" in done.stdout
 
 
@@ -38,7 +38,7 @@ def test_train_with_all_defaults_on_a_tiny_scene(tmp_path: Path) -> None:
     [
         ("optim.stepz=3", "stepz"),
         ("dataset=nowhere", "nowhere"),
-        ("variant=E", "does not exist in this version yet"),
+        ("variant=F", "variant"),
         ("dataset=zju body=anny", "dataset.root"),
         ("dataset=zju", "body.path"),
     ],

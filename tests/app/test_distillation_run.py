@@ -105,7 +105,13 @@ def test_score_that_is_not_finite_stops_and_keeps_the_last_good_state(
         value = original(self, *args)
         return value / 0.0 if len(asked) == 3 else value
 
-    options = ("variant=C", SHORT, "optim.sds.posed_probability=1", "dataset.occlusion.fraction=1")
+    options = (
+        "variant=C",
+        SHORT,
+        "optim.sds.posed_probability=1",
+        "dataset.occlusion.fraction=1",
+        "optim.sds.every=1",
+    )
     whole, _ = train(*options, folder="whole")
     options = (
         *options,

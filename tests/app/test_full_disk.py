@@ -62,6 +62,10 @@ def test_checkpoints(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
         "evaluation.curve=false",
     )
     whole, _ = train(*options, folder="whole")
+    apart = (
+        *options,
+        f"shared_dir={whole.with_name('apart')}",
+    )  # or the whole run's result would be taken over
     save, saved = L.Trainer.save_checkpoint, []
 
     def save_once(self: L.Trainer, path: Path, *rest: Any, **more: Any) -> None:
@@ -74,9 +78,9 @@ def test_checkpoints(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(L.Trainer, "save_checkpoint", save_once)
         with pytest.raises(CheckpointError, match=r"last\.ckpt: cannot be written .No space left"):
-            train(*options, folder="parts")
+            train(*apart, folder="parts")
     assert saved == [2, 4]
     parts = whole.with_name("parts") / "optim"
     assert [path.name for path in parts.iterdir()] == ["last.ckpt"]
-    train(*options, folder="parts")
+    train(*apart, folder="parts")
     assert_same(parameters(whole), parameters(parts.parent))

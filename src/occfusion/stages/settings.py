@@ -106,7 +106,7 @@ class SdsSettings:
     t_max: float = 0.98
     reduction: str = "mean"
     guidance: float = 1.0
-    every: int = 1
+    every: int = 2
     where: str = "hidden"
     evidence: bool = True
     start_step: int = 0
