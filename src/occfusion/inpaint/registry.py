@@ -10,6 +10,7 @@ import torch
 from occfusion.errors import ConfigError
 from occfusion.inpaint.embedded import EmbeddedInpainter, EmbeddedInpainterSettings
 from occfusion.inpaint.partial import Inpainter
+from occfusion.inpaint.weights import load_appearance_net
 from occfusion.priors.registry import mask_settings, typed_settings
 
 if TYPE_CHECKING:
@@ -40,11 +41,11 @@ def make_inpainter(settings: Mapping[str, Any], device: torch.device) -> Inpaint
 
 
 def check_inpainter(settings: Mapping[str, Any], device: torch.device) -> None:
-    """Looks for what `make_inpainter` needs without loading it, before hours are spent on what precedes it.
+    """Looks for what `make_inpainter` needs before hours are spent on what precedes it.
 
     Raises:
         ConfigError: an unknown key or type, a value or device that is not allowed, or a package is missing.
-        DataError: a model of `prior=sd15` is missing or incomplete.
+        DataError: a model of `prior=sd15`, or the file of weights, is missing or damaged.
     """
     if settings.get("name") == "sd15":
         from occfusion.priors.sd15_pipeline import find_inpainting, resolve_placement
@@ -53,7 +54,9 @@ def check_inpainter(settings: Mapping[str, Any], device: torch.device) -> None:
         resolve_placement(shared, device)
         find_inpainting(shared)
     else:
-        _own_settings(EmbeddedInpainterSettings, settings)
+        own = _own_settings(EmbeddedInpainterSettings, settings)
+        if own.weights is not None:  # small: loaded to see that it can be
+            load_appearance_net(own.weights)
 
 
 def _own_settings(kind: type[S], settings: Mapping[str, Any]) -> S:
