@@ -108,7 +108,7 @@ def test_stopped_and_resumed_refinement_equals_an_uninterrupted_one(
     train: Train, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Bit-equal, with a round of densification after the resume."""
-    options = [*SHORT, "optim.densification.after_step=3", "optim.densification.every=4", "refine.steps=9"]
+    options = [*SHORT, "refine.densification.after_step=3", "refine.densification.every=4", "refine.steps=9"]
     whole, _ = train(*options, folder="whole")
     original = SignalGuard.on_train_batch_end
 
@@ -148,8 +148,13 @@ def test_scaling_all_weights_changes_nothing(train: Train, monkeypatch: pytest.M
     The floor is lowered for the test: round Gaussians have gradients of their rotation as small as it.
     """
     monkeypatch.setattr("occfusion.stages.avatar.ADAM_EPS", 1e-18)
-    options = [*SHORT, "optim.densification.after_step=3", "optim.densification.every=4", "refine.steps=6"]
-    scaled = ["refine.lambda_rgb=1024", "refine.lambda_mask=102.4", "refine.lambda_gen=102.4"]
+    options = [*SHORT, "refine.densification.after_step=3", "refine.densification.every=4", "refine.steps=6"]
+    scaled = [
+        "refine.lambda_rgb=1024",
+        "refine.lambda_mask=4096",
+        "refine.lambda_gen=102.4",
+        "refine.lambda_ssim=204.8",
+    ]
     a, _ = train(*options, folder="a")
     b, _ = train(*options, *scaled, folder="b")
     first, second = parameters(a), parameters(b)

@@ -111,6 +111,7 @@ def test_stopped_and_resumed_run_equals_an_uninterrupted_one(
 
     options = [f"variant={variant}", "optim.steps=7", "trainer.checkpoint_every=100"]
     whole, _ = train(*options, folder="whole")
+    options.append(f"shared_dir={whole.with_name('apart')}")  # or the whole run's result would be taken over
     original = SignalGuard.on_train_batch_end
 
     def stop_after_three(self: SignalGuard, trainer: Any, *rest: Any) -> None:
