@@ -1,16 +1,68 @@
-"""Running a stage that treats frames one by one, until it is done or a signal comes."""
+"""Stages that treat frames one by one and write what they make of each; run until done or until a signal comes."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import lightning as L
+import torch
 from torch.utils.data import DataLoader, IterableDataset
 
+from occfusion.files.atomic import write_json
 from occfusion.stages.base import Stage
 from occfusion.stages.interruption import SignalGuard
 from occfusion.stages.progress import FrameProgress
 from occfusion.types import Frame
+
+MANIFEST = "manifest.json"
+
+
+class FramewiseStage(Stage):
+    """A stage that writes a picture of each frame and keeps a manifest, so that a stopped run continues behind it.
+
+    Args:
+        folder: where the pictures, named by frame, and the manifest go.
+        identity: all that the pictures depend on; records of another identity are not taken up.
+
+    Attributes:
+        records: what was done with each frame, by its name.
+    """
+
+    def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
+        super().__init__()
+        self.folder, self.identity = folder, identity
+        self.records = self._earlier()
+
+    def read_again(self) -> None:
+        """Takes up what has been put into the folder since: pictures with the manifest of this very identity."""
+        self.records = self._earlier()
+
+    def _earlier(self) -> dict[str, dict[str, Any]]:
+        """Returns the records of an earlier call that still hold."""
+        path = self.folder / MANIFEST
+        if not path.is_file():
+            return {}
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["identity"] != json.loads(json.dumps(self.identity)):
+            return {}
+        return {name: r for name, r in content["frames"].items() if (self.folder / f"{name}.png").is_file()}
+
+    def transfer_batch_to_device(self, batch: Frame, device: torch.device, dataloader_idx: int) -> Frame:
+        """Returns the frame where it is: geometry is done on the host, and a network's owner moves what it needs."""
+        return batch
+
+    def on_predict_batch_end(self, *_: Any) -> None:
+        """Writes the manifest after each frame."""
+        self.write_manifest()
+
+    def write_manifest(self, **more: Any) -> None:
+        """Writes what was done, with what."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        content = {"identity": self.identity, **more, "frames": dict(sorted(self.records.items()))}
+        write_json(self.folder / MANIFEST, content)
 
 
 class _Frames(IterableDataset[Frame]):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,24 +10,23 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from occfusion.files.atomic import write_json, write_png
+from occfusion.files.atomic import write_png
 from occfusion.files.images import read_mask
 from occfusion.human.body import Body
 from occfusion.priors.calibration import Calibration
 from occfusion.priors.consistency import body_flow, smoothed, warped_iou
 from occfusion.priors.masks import MaskPrior, checked_probability, with_what_is_known
 from occfusion.priors.moments import Moment
-from occfusion.stages.base import Stage
+from occfusion.stages.framewise import FramewiseStage
 from occfusion.stages.settings import InitSettings
 from occfusion.types import Frame
 
-MANIFEST = "manifest.json"
 UNCERTAINTY = "uncertainty"
 REMEMBERED = 3
 """Positions to either side whose probabilities are kept for smoothing."""
 
 
-class InitStage(Stage):
+class InitStage(FramewiseStage):
     """Completes the mask of each frame whose person is occluded, and writes it; run by `Trainer.predict`.
 
     Frames of a whole person are passed through: their mask is written as it is and no prior is asked. What is
@@ -56,14 +54,11 @@ class InitStage(Stage):
         folder: Path,
         identity: dict[str, Any],
     ) -> None:
-        super().__init__()
+        super().__init__(folder, {**identity, **vars(settings), **prior.describe()})
         # wrapped in tuples so that neither is part of this module's state
         self._prior, self._body = (prior,), (body,)
         self.moments = moments
         self.settings = settings
-        self.folder = folder
-        self.identity = {**identity, **vars(settings), **prior.describe()}
-        self.records = self._earlier()
         self.calibration: Calibration | None = None
         self._read = read
         self._positions = {moment.frame: k for k, moment in enumerate(moments)}
@@ -73,24 +68,6 @@ class InitStage(Stage):
     def wanted(self) -> list[int]:
         """Positions of the frames that are not written yet."""
         return [k for k, moment in enumerate(self.moments) if _name(moment.frame) not in self.records]
-
-    def read_again(self) -> None:
-        """Takes up what has been put into the folder since: masks with the manifest of this very identity."""
-        self.records = self._earlier()
-
-    def _earlier(self) -> dict[str, dict[str, Any]]:
-        """Returns the records of an earlier call that still hold."""
-        path = self.folder / MANIFEST
-        if not path.is_file():
-            return {}
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content["identity"] != json.loads(json.dumps(self.identity)):
-            return {}
-        return {name: r for name, r in content["frames"].items() if (self.folder / f"{name}.png").is_file()}
-
-    def transfer_batch_to_device(self, batch: Frame, device: torch.device, dataloader_idx: int) -> Frame:
-        """Returns the frame where it is: geometry is done on the host, and a prior moves what it needs."""
-        return batch
 
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
@@ -150,18 +127,10 @@ class InitStage(Stage):
         # only what is not known is smoothed
         return np.where(moment.evidence.background | visible, own, mean)
 
-    def on_predict_batch_end(self, *_: Any) -> None:
-        """Writes the manifest after each frame, so that a stopped run continues behind it."""
-        self.write_manifest()
-
     def write_manifest(self, **more: Any) -> None:
-        """Writes what was done, with what."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        """Writes what was done, with what; the calibration too."""
         fitted = None if self.calibration is None else self.calibration.describe()
-        content = {
-            "identity": self.identity, "calibration": fitted, "frames": dict(sorted(self.records.items())), **more,
-        }  # fmt: skip
-        write_json(self.folder / MANIFEST, content)
+        super().write_manifest(calibration=fitted, **more)
 
     def consistency(self) -> float | None:
         """Returns the mean warped IoU of consecutive masks where something was completed; None without any.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,19 +9,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from occfusion.files.atomic import write_json, write_png
+from occfusion.files.atomic import write_png
 from occfusion.human.avatar import Avatar
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.partial import Inpainter, checked_picture, take_partial
 from occfusion.priors.moments import Moment
-from occfusion.stages.base import Stage
+from occfusion.stages.framewise import FramewiseStage
 from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
 from occfusion.types import Frame
 
-MANIFEST = "manifest.json"
 
-
-class InpaintStage(Stage):
+class InpaintStage(FramewiseStage):
     """Inpaints the frames whose person is occluded, and writes them; run by `Trainer.predict`.
 
     Frames of a whole person are not touched. What is written already by the same inpainter for the same coarse
@@ -51,14 +48,11 @@ class InpaintStage(Stage):
         identity: dict[str, Any],
         backend: str,
     ) -> None:
-        super().__init__()
+        super().__init__(folder, {**identity, **inpainter.describe()})
         # wrapped in tuples so that neither is part of this module's state
         self._inpainter, self._avatar = (inpainter,), (avatar,)
         self.moments = moments
-        self.folder = folder
-        self.identity = {**identity, **inpainter.describe()}
         self.backend = backend
-        self.records = self._earlier()
         self._positions = {moment.frame: k for k, moment in enumerate(moments)}
         self.accumulated: Accumulated | None = None
 
@@ -73,20 +67,6 @@ class InpaintStage(Stage):
         """What is written, for the refinement."""
         painted = {int(name) for name, record in self.records.items() if record["region_pixels"]}
         return References(self.folder, frozenset(painted))
-
-    def _earlier(self) -> dict[str, dict[str, Any]]:
-        """Returns the records of an earlier call that still hold."""
-        path = self.folder / MANIFEST
-        if not path.is_file():
-            return {}
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content["identity"] != json.loads(json.dumps(self.identity)):
-            return {}
-        return {name: r for name, r in content["frames"].items() if (self.folder / f"{name}.png").is_file()}
-
-    def transfer_batch_to_device(self, batch: Frame, device: torch.device, dataloader_idx: int) -> Frame:
-        """Returns the frame where it is: an inpainter moves what it needs."""
-        return batch
 
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
@@ -107,13 +87,3 @@ class InpaintStage(Stage):
         }
         self.records[f"{frame.index:06d}"] = record
         return record
-
-    def on_predict_batch_end(self, *_: Any) -> None:
-        """Writes the manifest after each frame, so that a stopped run continues behind it."""
-        self.write_manifest()
-
-    def write_manifest(self) -> None:
-        """Writes what was done, with what."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        content = {"identity": self.identity, "frames": dict(sorted(self.records.items()))}
-        write_json(self.folder / MANIFEST, content)
