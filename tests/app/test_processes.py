@@ -73,13 +73,12 @@ def test_stopped_by_a_signal_to_one_of_them_and_resumed(tmp_path: Path, scene_ro
     options = ["optim.steps=7", "trainer.checkpoint_every=100"]
     whole, (expected, _) = train(tmp_path, scene_root, *options, "output_dir=whole", records="whole")
     assert whole.returncode == 0, whole.stderr
-    stopped, records = train(
-        tmp_path, scene_root, *options, "output_dir=parts", records="stopped", STOP_AT="3"
-    )
+    options += ["output_dir=parts", f"shared_dir={tmp_path / 'apart'}"]  # or the whole run's result is taken
+    stopped, records = train(tmp_path, scene_root, *options, records="stopped", STOP_AT="3")
     assert stopped.returncode == 143, stopped.stderr
     assert "the same command continues" in stopped.stderr
     assert [len(record["local"]) for record in records] == [3, 3]
-    resumed, (first, second) = train(tmp_path, scene_root, *options, "output_dir=parts", records="resumed")
+    resumed, (first, second) = train(tmp_path, scene_root, *options, records="resumed")
     assert resumed.returncode == 0, resumed.stderr
     assert len(first["local"]) == 4
     assert_same(first["state"], second["state"])
