@@ -26,7 +26,8 @@ class Splats:
 
     Attributes:
         index: their rows in the input, `[V]`.
-        means2d: centres in pixels of the full picture, `[V, 2]`.
+        means2d: centres in pixels of the full picture, float64 `[V, 2]`: a rounding of a large coordinate would
+            move the splat, and with it who is dropped, by more than all others together.
         factors: `l1, m, l2` of the quadratic form, `[V, 3]`, 1/pixels.
         opacities: `[V]`, with the anti-aliasing compensation when asked.
         depths: camera z, `[V]`, metres.
@@ -70,8 +71,13 @@ def touches(splats: Splats, crop: tuple[int, int, int, int]) -> Tensor:
 
 
 def _project_rows(request: Request, index: Tensor) -> Splats:
-    """Returns the splats of Gaussians known to lie beyond the near plane."""
-    request = request.rows(index)
+    """Returns the splats of Gaussians known to lie beyond the near plane.
+
+    The geometry is done in float64: there are far fewer Gaussians than pixels, and the only roundings left
+    are those of the inputs and of the result.
+    """
+    dtype = request.means.dtype
+    request = request.rows(index).in_double()
     fx, fy, cx, cy = request.intrinsics
     rotation, translation = request.viewmat[:3, :3], request.viewmat[:3, 3]
     x, y, z = (request.means @ rotation.T + translation).unbind(-1)
@@ -82,18 +88,14 @@ def _project_rows(request: Request, index: Tensor) -> Splats:
     eps = request.limits.dilation
     det = flat_det + eps * (a + c) + eps * eps  # every term is positive: nothing cancels
     a, c = a + eps, c + eps
-    factors = torch.stack([(c / det).sqrt(), -b / (c * det).sqrt(), c.rsqrt()], dim=-1).to(z.dtype)
+    factors = torch.stack([(c / det).sqrt(), -b / (c * det).sqrt(), c.rsqrt()], dim=-1)
     opacities = request.opacities
     if request.antialiased:
-        mass = (flat_det / det).clamp_min(COMPENSATION_FLOOR).sqrt()
-        opacities = opacities * mass.to(z.dtype)
-    extents = _extents(a, c, opacities, request.limits.alpha_min).to(z.dtype)
-    return Splats(index, means2d, factors, opacities, z, extents, _exact_depths(request))
-
-
-@torch.no_grad()
-def _exact_depths(request: Request) -> Tensor:
-    return request.means.double() @ request.viewmat[2, :3].double() + request.viewmat[2, 3].double()
+        opacities = opacities * (flat_det / det).clamp_min(COMPENSATION_FLOOR).sqrt()
+    extents = _extents(a, c, opacities, request.limits.alpha_min)
+    return Splats(
+        index, means2d, factors.to(dtype), opacities.to(dtype), z.to(dtype), extents.to(dtype), z.detach()
+    )
 
 
 def _affine_rows(request: Request, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
@@ -118,18 +120,17 @@ def _plane_covariance(request: Request, affine: Tensor) -> tuple[Tensor, Tensor,
 
     From rotation and scales the determinant is the squared cross product of the two rows of the
     projected square root, never a difference of large numbers. A covariance has lost its square
-    root: there all that can be done is to lose nothing further, in float64. Float64 also keeps
-    the fourth powers of the largest splats finite.
+    root: there all that can be done is to lose nothing further. Float64 also keeps the fourth powers
+    of the largest splats finite.
     """
     if request.covariances is not None:
-        rows = affine.double()
-        covariance = request.covariances.double()
+        covariance = request.covariances
         covariance = 0.5 * (covariance + covariance.transpose(1, 2))
-        plane = rows @ covariance @ rows.transpose(1, 2)
+        plane = affine @ covariance @ affine.transpose(1, 2)
         a, b, c = plane[:, 0, 0], 0.5 * (plane[:, 0, 1] + plane[:, 1, 0]), plane[:, 1, 1]
         return a.clamp_min(0), b, c.clamp_min(0), (a * c - b * b).clamp_min(0)
     assert request.quats is not None and request.scales is not None
-    root = (affine @ rotation_matrices(request.quats) * request.scales[:, None, :]).double()
+    root = affine @ rotation_matrices(request.quats) * request.scales[:, None, :]
     row_x, row_y = root.unbind(1)
     cross = torch.linalg.cross(row_x, row_y)
     return (row_x * row_x).sum(-1), (row_x * row_y).sum(-1), (row_y * row_y).sum(-1), (cross * cross).sum(-1)
@@ -161,5 +162,5 @@ def _extents(a: Tensor, c: Tensor, opacities: Tensor, alpha_min: float) -> Tenso
     opacity * exp(-q / 2) = alpha_min at q = 2 ln(opacity / alpha_min); the ellipse q reaches
     sqrt(q a) and sqrt(q c) along the axes. Zero where the opacity itself is below alpha_min.
     """
-    q = 2 * (opacities.double().clamp_min(1e-300).log() - math.log(alpha_min)).clamp_min(0)
+    q = 2 * (opacities.clamp_min(1e-300).log() - math.log(alpha_min)).clamp_min(0)
     return torch.stack([(q * a).sqrt(), (q * c).sqrt()], dim=-1)

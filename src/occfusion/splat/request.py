@@ -82,6 +82,23 @@ class Request:
             screen_offsets=pick(self.screen_offsets),
         )
 
+    def in_double(self) -> Request:
+        """Returns the request with the geometry, all but the colours, in float64; differentiable."""
+
+        def double(tensor: Tensor | None) -> Tensor | None:
+            return None if tensor is None else tensor.double()
+
+        return replace(
+            self,
+            means=self.means.double(),
+            quats=double(self.quats),
+            scales=double(self.scales),
+            opacities=self.opacities.double(),
+            viewmat=self.viewmat.double(),
+            covariances=double(self.covariances),
+            screen_offsets=double(self.screen_offsets),
+        )
+
     def gaussian_tensors(self) -> dict[str, Tensor]:
         """Returns the per-Gaussian inputs that are given, by name."""
         named = {

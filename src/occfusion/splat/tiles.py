@@ -49,7 +49,7 @@ def bin_splats(splats: Splats, crop: Box, size: int, alpha_min: float) -> TileLi
     x, y, width, height = crop
     across, down = -(-width // size), -(-height // size)
     order = torch.sort(splats.exact_depths, stable=True).indices
-    centre, extent = splats.means2d[order], splats.extents[order]
+    centre, extent = splats.means2d[order], splats.extents[order].double()
     corner = centre.new_tensor([x + 0.5, y + 0.5])
     last_pixel = torch.tensor([width - 1, height - 1], device=centre.device)
     # clamping before the cast keeps huge splats inside the range of integers
@@ -128,7 +128,7 @@ def _reaches_tile(
     The smallest u^2 + v^2 over the tile's rectangle of pixel centres lies on the edges that face the
     splat's centre (at the centre itself when it is inside), each a parabola clamped to the edge.
     """
-    mx, my = splats.means2d[splat].unbind(-1)
+    mx, my = splats.means2d.to(splats.factors.dtype)[splat].unbind(-1)
     l1, m, l2 = splats.factors[splat].unbind(-1)
     x0, y0 = left + 0.5 - mx, top + 0.5 - my
     x1, y1 = x0 + (size - 1), y0 + (size - 1)

@@ -66,7 +66,7 @@ def render(request: Request) -> Layers:
     x, y, width, height = request.crop
     colors = torch_backend.visible_colors(request, splats.index)
     features = torch.cat([colors, splats.depths[:, None]], dim=1)
-    centres = splats.means2d - splats.means2d.new_tensor([x, y])
+    centres = (splats.means2d - splats.means2d.new_tensor([x, y])).to(splats.factors.dtype)
     l1, m, l2 = splats.factors.unbind(-1)
     conics = torch.stack([l1 * l1, l1 * m, m * m + l2 * l2], dim=-1)
     extents = splats.extents.clamp_max(2.0**30).ceil().int()

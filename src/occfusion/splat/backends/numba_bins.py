@@ -32,13 +32,35 @@ RADIX_BITS = 11
 DIGIT_MASK = np.uint32((1 << RADIX_BITS) - 1)
 
 
-@kernel
 def sort_by_depth(splats: Any, means: Any, camera: Any) -> Any:
     """Returns the visible rows of `splats`, nearest first, equal depths in input order, int32 `[V]`.
 
+    Depths that only single precision makes equal are put in order by their value in double precision, from
+    `means` `[N, 3]` and the `camera` of `pack_camera`. They are few: compiled code would take longer to compile
+    than it saves.
+    """
+    order = sort_by_bits(splats)
+    depths = splats[order, DEPTH]
+    alike = depths[1:] == depths[:-1]
+    if not alike.any():
+        return order
+    is_tied = np.zeros(len(order), bool)
+    is_tied[1:] |= alike
+    is_tied[:-1] |= alike
+    places = np.flatnonzero(is_tied)
+    rows = order[places]
+    x, y, z = means[rows].astype(np.float64).T
+    exact = camera[6] * x + camera[7] * y + camera[8] * z + camera[11]
+    order[places] = rows[np.lexsort((exact, depths[places]))]
+    return order
+
+
+@kernel
+def sort_by_bits(splats: Any) -> Any:
+    """Returns the visible rows of `splats`, nearest first, equal depths in input order, int32 `[V]`.
+
     A radix sort of the bits of the depth: positive floats are ordered like their bits, and each pass
-    is stable. Depths that only single precision makes equal are then put in order by their value in double
-    precision, from `means` `[N, 3]` and the `camera` of `pack_camera`.
+    is stable.
     """
     visible = 0
     for i in range(splats.shape[0]):
@@ -71,19 +93,6 @@ def sort_by_depth(splats: Any, means: Any, camera: Any) -> Any:
             keys[place] = bits[i]
         index, other = other, index
         bits, keys = keys, bits
-    first = 0
-    while first < visible:
-        end = first + 1
-        while end < visible and bits[end] == bits[first]:
-            end += 1
-        if end - first > 1:
-            exact = np.empty(end - first, np.float64)
-            for k in range(end - first):
-                i = index[first + k]
-                x, y, z = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
-                exact[k] = camera[6] * x + camera[7] * y + camera[8] * z + camera[11]
-            index[first:end] = index[first:end][np.argsort(exact, kind="mergesort")]
-        first = end
     return index
 
 

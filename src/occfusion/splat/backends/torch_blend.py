@@ -94,9 +94,15 @@ class Blended:
 
 
 def blend_chunk(chunk: Chunk, shapes: Tensor, limits: Limits) -> Blended:
-    """Returns alphas and transmittances; `shapes` `[V + 1, 6]` is mean x, y, l1, m, l2, log opacity."""
-    mean_x, mean_y, l1, m, l2, log_opacity = rows_of(shapes, chunk.splats).unsqueeze(-1).unbind(2)
-    dx, dy = chunk.px - mean_x, chunk.py - mean_y
+    """Returns alphas and transmittances.
+
+    `shapes` `[V + 1, 8]` is the centre's whole pixels x, y, the rest of it, l1, m, l2, log opacity. The difference
+    of a pixel and whole pixels is exact, so the distance is as exact at the far corner as at the first.
+    """
+    whole_x, whole_y, part_x, part_y, l1, m, l2, log_opacity = (
+        rows_of(shapes, chunk.splats).unsqueeze(-1).unbind(2)
+    )
+    dx, dy = (chunk.px - whole_x) - part_x, (chunk.py - whole_y) - part_y
     v = l2 * dy
     u = (l1 * dx)[:, :, None, :] + (m * dy)[:, :, :, None]
     row_term = torch.addcmul(log_opacity, v, v, value=-0.5)
@@ -119,7 +125,7 @@ class Blend(torch.autograd.Function):
         """Returns rgb `[h, w, 3]`, alpha and weighted depth `[h, w]`; `features` are `[V, 5]`."""
         shapes, padded = _with_padding(means2d, factors, opacities, features)
         stacked = features.new_empty(len(lists.tiles), CHANNELS, lists.size**2)
-        for chunk in chunks(lists, crop, len(opacities), means2d.dtype):
+        for chunk in chunks(lists, crop, len(opacities), opacities.dtype):
             blended = blend_chunk(chunk, shapes, limits)
             weights = blended.transmittance.mul_(blended.alpha).flatten(2)
             torch.bmm(rows_of(padded, chunk.splats).transpose(1, 2), weights, out=stacked[chunk.rows])
@@ -133,26 +139,36 @@ class Blend(torch.autograd.Function):
         """Returns the gradients of means2d, factors, opacities and features."""
         means2d, factors, opacities, features = ctx.saved_tensors
         lists, crop, limits = ctx.plan
-        grad = picture_to_tiles(grad_rgb, grad_alpha, grad_depth, lists, crop, means2d)
+        grad = picture_to_tiles(grad_rgb, grad_alpha, grad_depth, lists, crop, opacities)
         shapes, padded = _with_padding(means2d, factors, opacities, features)
         grad_shapes = grad.new_zeros(len(lists.splats) + 1, 6)
         grad_features = grad.new_zeros(len(lists.splats) + 1, CHANNELS)
-        for chunk in chunks(lists, crop, len(opacities), means2d.dtype):
+        for chunk in chunks(lists, crop, len(opacities), opacities.dtype):
             shape_part, feature_part = _chunk_gradients(chunk, shapes, padded, grad[chunk.rows], limits)
             grad_shapes[chunk.pairs] = shape_part
             grad_features[chunk.pairs] = feature_part
         # one row for each (tile, splat) pair, summed in a fixed order
         shape = grad.new_zeros(len(opacities), 6).index_add_(0, lists.splats, grad_shapes[:-1])
         feature = grad.new_zeros(len(opacities), CHANNELS).index_add_(0, lists.splats, grad_features[:-1])
-        return shape[:, :2], shape[:, 2:5], shape[:, 5] / opacities, feature, None, None, None
+        return (
+            shape[:, :2].to(means2d.dtype),
+            shape[:, 2:5],
+            shape[:, 5] / opacities,
+            feature,
+            None,
+            None,
+            None,
+        )
 
 
 def _with_padding(
     means2d: Tensor, factors: Tensor, opacities: Tensor, features: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Returns `[V + 1, 6]` shapes and `[V + 1, 5]` features, the last row a splat of opacity zero."""
-    shapes = torch.cat([means2d, factors, opacities.log()[:, None]], dim=1)
-    nothing = shapes.new_tensor([[0, 0, 0, 0, 0, float("-inf")]])
+    """Returns `[V + 1, 8]` shapes and `[V + 1, 5]` features, the last row a splat of opacity zero."""
+    whole = means2d.floor()
+    centre = torch.cat([whole, means2d - whole], dim=1).to(factors.dtype)
+    shapes = torch.cat([centre, factors, opacities.log()[:, None]], dim=1)
+    nothing = shapes.new_tensor([[0, 0, 0, 0, 0, 0, 0, float("-inf")]])
     return torch.cat([shapes, nothing]), torch.cat([features, features.new_zeros(1, CHANNELS)])
 
 
@@ -179,7 +195,7 @@ def _chunk_gradients(
     sum_u_dx = sum_u_x + sum_u * blended.dx[..., 0]
     sum_u_dy = sum_u_y + sum_u * blended.dy[..., 0]
     sum_v, sum_v_dy = row_v.sum(-1), (row_v * blended.dy).sum(-1)
-    l1, m, l2 = rows_of(shapes, chunk.splats)[..., 2:5].unbind(-1)
+    l1, m, l2 = rows_of(shapes, chunk.splats)[..., 4:7].unbind(-1)
     parts = [l1 * sum_u, m * sum_u + l2 * sum_v, -sum_u_dx, -sum_u_dy, -sum_v_dy, by_row.sum(-1)]
     return torch.stack(parts, dim=-1), grad_features
 
