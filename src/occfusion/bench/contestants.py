@@ -13,8 +13,10 @@ from torch import Tensor
 from occfusion.bench.scenes import BenchScene
 from occfusion.errors import ConfigError
 from occfusion.splat import Limits, rasterize, resolve_backend
+from occfusion.splat.backends import torch_backend
 from occfusion.splat.backends.registry import BACKENDS
 from occfusion.splat.limits import DEFAULT_LIMITS
+from occfusion.splat.request import Request, read_intrinsics
 
 Pictures = tuple[Tensor, Tensor, Tensor | None]
 """rgb `[H, W, 3]`, alpha `[H, W]`, and depth `[H, W]` where the renderer has one."""
@@ -61,6 +63,20 @@ def backend(name: str, dtype: torch.dtype = torch.float32, limits: Limits = DEFA
 
     title = name if dtype == torch.float32 else f"{name} float64"
     return Contestant(title, render, dtype)
+
+
+def tiled(tile: int, dtype: torch.dtype = torch.float32) -> Contestant:
+    """Returns the `torch` backend with tiles of `tile` pixels."""
+
+    def render(scene: BenchScene, inputs: dict[str, Tensor]) -> Pictures:
+        given = scene.arguments(inputs)
+        crop = (0, 0, given["width"], given["height"])
+        out = torch_backend.render(
+            Request(intrinsics=read_intrinsics(given.pop("K")), crop=crop, **given), tile
+        )
+        return out.rgb, out.alpha, out.depth
+
+    return Contestant("torch" if dtype == torch.float32 else "torch float64", render, dtype)
 
 
 def available_backends(device: torch.device, wanted: Sequence[str] | None = None) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from occfusion.bench.measure import BenchRow
-from occfusion.bench.plan import KNOBS
+from occfusion.bench.plan import KNOBS, TILE_KNOB
 from occfusion.files.atomic import write_bytes
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def draw_precision(path: Path, rows: Sequence[BenchRow]) -> None:
     for number, (field, label) in enumerate(panels, 1):
         axes = drawing.add_subplot(1, 2, number)
         for contestant in dict.fromkeys(row.contestant for row in chosen):
-            for knob in KNOBS:
+            for knob in (*KNOBS, TILE_KNOB):
                 line = [row for row in chosen if row.contestant == contestant and row.case.startswith(knob)]
                 _plot(axes, line, field, "cpu_ms", "o-", f"{contestant}, {knob}")
         _plot(axes, [row for row in chosen if row.case in _DEFAULT_CASES], field, "cpu_ms", "k*", "defaults")

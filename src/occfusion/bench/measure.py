@@ -8,11 +8,11 @@ from functools import partial
 
 import torch
 
-from occfusion.bench.contestants import Contestant, backend
+from occfusion.bench.contestants import Contestant, backend, tiled
 from occfusion.bench.errors import Errors, compare, errors_of
 from occfusion.bench.memory import extra_memory_mb
 from occfusion.bench.parts import step_parts
-from occfusion.bench.plan import KNOBS, NO_CUTS
+from occfusion.bench.plan import KNOBS, NO_CUTS, TILE_KNOB, TILES
 from occfusion.bench.reference import dense_reference
 from occfusion.bench.scenes import BenchScene, SceneSize, make_scene
 from occfusion.bench.timing import Timing, interleaved
@@ -130,19 +130,19 @@ def _accepts(contestant: Contestant, scene: BenchScene) -> bool:
 
 
 def precision(size: SceneSize, names: Sequence[str], conditions: Conditions) -> Iterator[BenchRow]:
-    """Yields time and error of every backend for every setting of the cut-offs that it takes.
+    """Yields time and error of every backend for every setting of the cut-offs, dtypes and tiles that it takes.
 
     The truth blends every splat, however faint.
     """
     scene = make_scene(size, conditions.seed).without_depth()
     truth = dense_reference(scene, NO_CUTS)
     scene = scene.to(conditions.device)
-    for knob, settings in KNOBS.items():
+    for knob in (*KNOBS, TILE_KNOB):
         entrants = {
-            (f"{knob} {setting}", dtype, name): backend(name, dtype, limits)
+            (case, dtype, name): contestant
             for name in names
             for dtype in ((torch.float32, torch.float64) if name == "torch" else (torch.float32,))
-            for setting, limits in settings
+            for case, contestant in _settings(knob, name, dtype)
         }
         entrants = {key: entrant for key, entrant in entrants.items() if _accepts(entrant, scene)}
         calls: dict[str, Callable[[], object]] = {
@@ -154,6 +154,13 @@ def precision(size: SceneSize, names: Sequence[str], conditions: Conditions) -> 
             both = timings["/".join(map(str, key))]
             row = _with_errors(_row("precision", key[0], contestant.name, size, None, both), errors)
             yield replace(row, error_depth=None, flips=None)
+
+
+def _settings(knob: str, name: str, dtype: torch.dtype) -> list[tuple[str, Contestant]]:
+    """Returns a backend at every setting of a knob, by case."""
+    if knob == TILE_KNOB:  # tiles of the compiled kernels are fixed when these are compiled
+        return [(f"{knob} {tile} px", tiled(tile, dtype)) for tile in TILES] if name == "torch" else []
+    return [(f"{knob} {setting}", backend(name, dtype, limits)) for setting, limits in KNOBS[knob]]
 
 
 def step(name: str, gaussians: int, size: int, conditions: Conditions) -> Iterator[BenchRow]:

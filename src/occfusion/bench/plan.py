@@ -76,3 +76,6 @@ KNOBS: dict[str, tuple[tuple[str, Limits], ...]] = {
     ),
 }
 """The cut-offs that trade exactness for time; the defaults are a floor of 1/255 and a stop at 1e-4."""
+TILE_KNOB = "tile"
+TILES = (4, 8, 16, 32)
+"""Edges in pixels of the `torch` backend's tiles: they trade time for time, the picture stays as it is."""

@@ -14,7 +14,7 @@ from occfusion.report import markdown_table
 TITLES = {
     "speed": "Speed: forward and backward, contestants in turn",
     "accuracy": "Error against the dense float64 reference",
-    "precision": "Work and precision: cut-offs against blending everything",
+    "precision": "Work and precision: cut-offs, precision and tiles against blending everything",
     "scaling gaussians": "Scaling with the number of Gaussians",
     "scaling size": "Scaling with the picture",
     "scaling footprint": "Scaling with the Gaussians' sizes",
