@@ -117,6 +117,7 @@ class Settings:
     prior_training: PriorTrainingSettings = field(default_factory=PriorTrainingSettings)
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
+    speed: Named = field(default_factory=Named)
     plan: str = "needed"
     seed: int = 0
     output_dir: str = ""
@@ -150,7 +151,7 @@ def load_settings(config: DictConfig) -> Settings:
 def settings_hash(settings: Settings) -> str:
     """Returns a short hash of all that decides what training computes."""
     relevant = asdict(settings)
-    for key in ("stage", "evaluation", "output_dir", "shared_dir", "prior_training"):
+    for key in ("stage", "speed", "evaluation", "output_dir", "shared_dir", "prior_training"):
         del relevant[key]
     is_distilled = settings.optim.sds.is_used
     if "refine" not in settings.variant.stages:

@@ -96,6 +96,21 @@ def test_hash_follows_what_training_computes_and_nothing_else() -> None:
         assert settings_hash(settings_of(override)) != base
 
 
+def test_speed_presets_train_shorter_and_longer() -> None:
+    fast, default, best = (settings_of(f"speed={name}") for name in ("fast", "default", "best"))
+    steps = [sum(stage.steps for stage in (s.optim, s.refine)) for s in (fast, default, best)]
+    assert steps == sorted(steps) and steps[0] < steps[1] < steps[2]
+    assert settings_hash(default) == settings_hash(settings_of())
+    assert settings_hash(fast) != settings_hash(default)
+    assert settings_hash(fast) == settings_hash(settings_of("speed=fast", "speed.name=default"))
+    assert settings_of("speed=fast", "optim.steps=7").optim.steps == 7
+    for variant in ("gauhuman", "A", "E"):  # a variant keeps what makes it one
+        alike = [settings_of(f"variant={variant}", f"speed={name}").optim for name in ("fast", "default")]
+        assert alike[0].lambda_rgb == alike[1].lambda_rgb and alike[0].densify == alike[1].densify
+    with pytest.raises(HydraException, match="speed/slow"):
+        settings_of("speed=slow")
+
+
 def test_stage_all_runs_what_the_variant_needs() -> None:
     assert stages_to_run(settings_of()) == ["init", "optim", "refine"]
     assert stages_to_run(settings_of("variant=A")) == ["optim"]

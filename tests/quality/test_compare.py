@@ -81,6 +81,17 @@ def test_methods_are_told_apart_by_what_differs(tmp_path: Path) -> None:
     assert method_settings(runs)["A #3"] == "optim.rate=2 optim.steps=1 optim.x.y=3"
 
 
+def test_a_preset_stands_for_what_it_sets(tmp_path: Path) -> None:
+    fast = {"speed": {"name": "fast"}, "optim": {"steps": 1, "rate": 2, "x": 3}}
+    write_run(tmp_path / "a", optim={"steps": 100, "rate": 1, "x": 1}, speed={"name": "default"})
+    write_run(tmp_path / "b", **fast)
+    runs, _ = read_runs(find_runs([tmp_path]))
+    assert sorted(methods(runs)) == ["A speed=default", "A speed=fast"]
+    write_run(tmp_path / "c", **{**fast, "optim": {"steps": 2, "rate": 2, "x": 3}})
+    runs, _ = read_runs(find_runs([tmp_path]))
+    assert "A optim.steps=2 speed=fast" in methods(runs)
+
+
 def test_perceptual_metrics_get_columns_of_their_own(tmp_path: Path) -> None:
     write_run(tmp_path / "a")
     write_run(tmp_path / "b", metric="LPIPS (VGG, inputs 0..1)", variant="B")

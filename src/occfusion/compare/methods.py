@@ -12,6 +12,7 @@ NOT_A_DIFFERENCE = (
     "evaluation.", "trainer.enable_progress_bar", "trainer.checkpoint_every",
 )  # fmt: skip
 """Settings (or, with a dot at the end, groups) that do not make two runs of a variant different methods."""
+PRESET = "speed.name"
 SPELT_OUT = 2
 """Up to so many differing settings stand in a method's name; with more, methods of a variant are numbered."""
 
@@ -33,14 +34,30 @@ def _named(runs: Sequence[RunRecord]) -> list[tuple[str, str]]:
         groups.setdefault((run.dataset, run.variant), []).append(k)
     result = [(run.variant, "") for run in runs]
     for (_, variant), members in groups.items():
-        keys = sorted({key for k in members for key in flat[k]})
-        differing = [key for key in keys if len({str(flat[k].get(key)) for k in members}) > 1]
-        texts = {k: " ".join(f"{key}={flat[k].get(key)}" for key in differing) for k in members}
+        differing = _differing([flat[k] for k in members])
+        texts = {
+            k: " ".join(f"{key.removesuffix('.name')}={flat[k].get(key)}" for key in differing)
+            for k in members
+        }
         numbers = {text: n for n, text in enumerate(dict.fromkeys(texts.values()), 1)}
         for k, text in texts.items():
             numbered = f"{variant} #{numbers[text]}"
             result[k] = (numbered if len(differing) > SPELT_OUT else f"{variant} {text}".strip(), text)
     return result
+
+
+def _differing(configs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Returns the settings in which runs differ; the name of a speed preset stands for all that it sets."""
+    by_preset: dict[str, list[Mapping[str, Any]]] = {}
+    for config in configs:
+        by_preset.setdefault(str(config.get(PRESET)), []).append(config)
+    found = {
+        key
+        for alike in by_preset.values()
+        for key in {key for config in alike for key in config}
+        if len({str(config.get(key)) for config in alike}) > 1
+    }
+    return sorted(found | ({PRESET} if len(by_preset) > 1 else set()))
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
