@@ -6,13 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from occfusion.config import STAGES, Settings, stages_to_run
 from occfusion.priors.evidence import HIDDEN_SHARE
 from occfusion.priors.moments import Moment
+from occfusion.stages.avatar import BOX_PADDING
 from occfusion.stages.settings import AvatarSettings
 
-HIDDEN_STAGES = ("init", "refine")
-"""Stages that are about what is hidden: left out where nothing is."""
+HIDDEN_STAGES = ("init",)
+"""Stages that are about what is hidden alone: left out where nothing is. The refinement is not one of them: without
+references it still trains on, with more Gaussians (docs/leaving_out.md has what that gains)."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +66,12 @@ def make_plan(
     plan.append(Decision("densification", optim.densify, f"optim.densify = {optim.densify}"))
     if is_refined:
         refine = settings.refine
-        plan += _term_decisions("refine", refine, ("rgb", "mask", "gen", "ssim", "lpips"))
+        plan += _term_decisions("refine", refine, ("rgb", "mask"))
+        plan.append(_generated_decision(settings, moments))
+        plan += _term_decisions("refine", refine, ("ssim", "lpips"))
         reason = f"refine.densify = {refine.densify}"
         plan.append(Decision("densification in the refinement", refine.densify, reason))
-    plan.append(
-        Decision("pixels outside the person's padded box", False, "rendered crops hold every Gaussian")
-    )
+    plan.append(Decision("pixels outside the person's padded box", False, _box_reason(moments)))
     plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
     return plan
 
@@ -146,6 +150,30 @@ def _occluded(moments: Sequence[Moment]) -> int:
 
 def _hidden_reason(moments: Sequence[Moment]) -> str:
     return f"{_occluded(moments)} of {len(moments)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
+
+
+def _generated_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+    """The term on what was inpainted has nothing to look at where nothing was."""
+    weight = settings.refine.lambda_gen
+    used, reason = weight > 0, f"refine.lambda_gen = {weight:g}"
+    if moments is not None and not _occluded(moments):
+        used, reason = False, f"{reason}; {_hidden_reason(moments)}"
+    return Decision("loss term gen in refine", used, reason)
+
+
+def _box_reason(moments: Sequence[Moment] | None) -> str:
+    reason = "rendered crops hold every Gaussian"
+    if not moments:
+        return reason
+    shares = []
+    for moment in moments:
+        height, width = moment.evidence.hidden.shape
+        low = np.clip(moment.motion.pixels.min(axis=0) - BOX_PADDING, 0, (width, height))
+        high = np.clip(moment.motion.pixels.max(axis=0) + BOX_PADDING, 0, (width, height))
+        shares.append(float(np.prod(high - low)) / (width * height))
+    return (
+        f"{reason}; the body's box is {np.mean(shares):.0%} of the picture in the mean of the training frames"
+    )
 
 
 def _mask_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:

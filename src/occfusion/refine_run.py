@@ -53,6 +53,9 @@ def make_references(
         Interrupted: a signal stopped it; what is written stays.
     """
     started = time.monotonic()
+    if not any(moment.evidence.occluded for moment in moments):
+        print(f"refine: none of {len(moments)} frames is occluded, none is inpainted")
+        return References(folder / FOLDER, frozenset()), 0.0
 
     def read(position: int) -> Frame:
         return data.train_frame(position, truth=False, complete=True)

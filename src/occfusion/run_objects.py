@@ -67,16 +67,13 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     data.validate()
     summary = data.summary()
     backend = resolve_backend(settings.rasterizer.name, device_of(settings), torch.float32)
-    if settings.optim.sds.is_used and "optim" in stages_to_run(settings):
-        check_score_prior(settings.prior)
-    if settings.refine.source == "prior" and "refine" in stages_to_run(settings):
-        check_inpainter(settings.prior, device_of(settings))
-    folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
     moments = look_at_training_frames(data, body) if is_prior_asked else None
     if moments is not None and settings.plan == "full":
         moments = planning.with_everything(moments)
     decisions = planning.make_plan(settings, summary, backend, moments)
+    _check_priors(settings, decisions)
+    folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
     if not is_helper():
         write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
     stages = [
@@ -101,6 +98,20 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         sh_frame=optim.sh_frame,
     )
     return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"], stages)
+
+
+def _check_priors(settings: Settings, decisions: list[planning.Decision]) -> None:
+    """Refuses a run whose networks cannot be loaded, before any training; those that it does not need may be absent.
+
+    Raises:
+        ConfigError: weights or packages are missing.
+    """
+    used = {decision.part for decision in decisions if decision.used}
+    stages = stages_to_run(settings)
+    if "optim" in stages and used & {"loss term sds_pose", "loss term sds_can"}:
+        check_score_prior(settings.prior)
+    if "refine" in stages and settings.refine.source == "prior" and "inpainting" in used:
+        check_inpainter(settings.prior, device_of(settings))
 
 
 def device_of(settings: Settings) -> torch.device:

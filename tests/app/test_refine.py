@@ -170,18 +170,30 @@ def test_scaling_all_weights_changes_nothing(train: Train, monkeypatch: pytest.M
 def test_an_unoccluded_scene_is_neither_completed_nor_inpainted(
     train: Train, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*_: object) -> None:
-        raise AssertionError("a prior was made although nothing is hidden")
+    """Its avatar is refined all the same: more steps and Gaussians help it as much as any other."""
 
-    for place in ("init_run.make_mask_prior", "refine_run.make_inpainter", "avatar_run.make_score_prior"):
+    def fail(*_: object) -> None:
+        raise AssertionError("a prior was loaded although nothing is hidden")
+
+    for place in (
+        "init_run.make_mask_prior", "refine_run.make_inpainter", "avatar_run.make_score_prior",
+        "run_objects.check_inpainter", "run_objects.check_score_prior",
+    ):  # fmt: skip
         monkeypatch.setattr(f"occfusion.{place}", fail)
-    folder, metrics = train("variant=E", "optim.steps=3", "dataset.occlusion.kind=none")
+    folder, metrics = train(*SHORT, "refine.source=prior", "dataset.occlusion.kind=none")
     assert not (folder / "masks").exists() and not (folder / "inpainted").exists()
-    assert not (folder / "refine").exists()
-    left_out = {"stage init", "stage refine", "inpainting", "loss term sds_pose", "loss term sds_can"}
-    assert left_out <= set(metrics["left_out"])
-    assert decisions(folder)["stage refine"]["reason"].startswith("0 of 10 training frames")
-    assert "refine: left out" in capsys.readouterr().out
+    assert (folder / "refine" / "avatar.safetensors").is_file()
+    left_out = {
+        "stage init",
+        "inpainting",
+        "loss term gen in refine",
+        "loss term sds_pose",
+        "loss term sds_can",
+    }
+    assert left_out <= set(metrics["left_out"]) and "stage refine" not in metrics["left_out"]
+    for part in left_out:
+        assert "0 of 10 training frames" in decisions(folder)[part]["reason"], part
+    assert "none of 10 frames is occluded, none is inpainted" in capsys.readouterr().out
 
 
 def test_plan_full_does_everything(train: Train, green: Green) -> None:
