@@ -107,13 +107,14 @@ def _run_stage(run_: Run, name: str) -> None:
     if name == "refine" or settings.trainer.fast_dev_run or is_helper():
         _train_stage(run_, name)
         return
-    # what follows the optimisation does not change it: `D` and `E` share theirs
+    # what follows the optimisation does not change it: `B`, or `D`, and `E` share theirs
     curve = (
         settings.evaluation.curve,
         settings.evaluation.curve_images,
         settings.evaluation.curve_first_second,
     )
-    identity = {"settings": optim_hash(settings), "data": run_.data_hash, "curve": curve}
+    planned = planning.as_planned(settings, run_.moments)
+    identity = {"settings": optim_hash(planned), "data": run_.data_hash, "curve": curve}
     shared = shared_folder(run_.folder, settings.shared_dir, name, identity)
     with sole_maker(shared, name):
         if take(shared, folder) is not None and finished.is_file():
@@ -213,8 +214,8 @@ def _make_densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | 
 
 def _make_distiller(run_: Run) -> Distiller[Any] | None:
     """Returns score distillation, its prior loaded, where the plan has a term of it."""
-    settings = run_.settings
-    if not any(decision.used for decision in planning.sds_decisions(settings, run_.moments)):
+    settings = planning.as_planned(run_.settings, run_.moments)
+    if not settings.optim.sds.is_used:
         return None
     assert run_.moments is not None
     return Distiller(

@@ -18,6 +18,9 @@ HIDDEN_STAGES = ("init",)
 """Stages that are about what is hidden alone: left out where nothing is. The refinement is not one of them: without
 references it still trains on, with more Gaussians (docs/leaving_out.md has what that gains)."""
 
+MOSTLY_HIDDEN = 0.9
+"""Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on."""
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -79,7 +82,9 @@ def make_plan(
 def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
     """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order.
 
-    Where no frame is occluded, neither has anything to add to what is seen.
+    Where no frame is occluded, neither has anything to add to what is seen. Nor has either where every occluded frame
+    gets a complete mask (docs/refinement.md has the figures): the whole system then leaves both out, while `C` and
+    `D`, which are there to show them, keep them.
     """
     sds = settings.optim.sds
     reasons = [f"optim.sds.lambda_{name} = {getattr(sds, f'lambda_{name}'):g}" for name in ("pose", "can")]
@@ -91,8 +96,24 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
     if moments is not None and not _occluded(moments):
         reasons = [f"{reason}; {_hidden_reason(moments)}" for reason in reasons]
         used = [False, False]
+    elif moments is not None and any(used) and settings.variant.name == "E" and settings.plan == "needed":
+        most = max(moment.evidence.hidden_share for moment in moments)
+        if most <= MOSTLY_HIDDEN:
+            known = f"all {_occluded(moments)} occluded frames get complete masks and show at least {1 - most:.0%}"
+            reasons = [f"{reason}; {known} of the body: it changed nothing then" for reason in reasons]
+            used = [False, False]
     names = ("loss term sds_pose", "loss term sds_can")
     return [Decision(*parts) for parts in zip(names, used, reasons, strict=True)]
+
+
+def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings:
+    """Returns the settings without the score distillation that the plan leaves out: what training goes by."""
+    pose, can = (decision.used for decision in sds_decisions(settings, moments))
+    sds = settings.optim.sds
+    sds = replace(
+        sds, lambda_pose=sds.lambda_pose if pose else 0.0, lambda_can=sds.lambda_can if can else 0.0
+    )
+    return replace(settings, optim=replace(settings.optim, sds=sds))
 
 
 def reached_sh_degree(settings: Settings) -> int:

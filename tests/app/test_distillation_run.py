@@ -60,6 +60,28 @@ def test_variants_distil_what_they_say(train: Train, calls: list[tuple[int, str,
     assert [used(folder, "loss term sds_can") for folder in (b, c, d)] == [False, False, True]
 
 
+def test_the_whole_system_leaves_it_out_where_masks_are_complete(
+    train: Train,
+    calls: list[tuple[int, str, float]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Then `E` goes on from the very avatar of `B`; `plan=full`, or a frame that shows little, brings it back."""
+    refine = ("variant=E", SHORT, "refine.steps=1", "refine.lambda_lpips=0", "refine.source=coarse")
+    train("variant=B", SHORT, folder="b")
+    with monkeypatch.context() as patch:
+        patch.setattr(run_objects, "check_score_prior", lambda *_: pytest.fail("it is not needed"))
+        _, metrics = train(*refine, folder="e")
+    assert calls == [] and "optim: trained before" in capsys.readouterr().out
+    assert {"loss term sds_pose", "loss term sds_can"} <= set(metrics["left_out"])
+    train(*refine, "plan=full", folder="full")
+    assert calls
+    calls.clear()
+    monkeypatch.setattr("occfusion.plan.MOSTLY_HIDDEN", 0.01)
+    train(*refine, folder="hidden")
+    assert calls
+
+
 def test_terms_come_when_the_settings_say(train: Train, calls: list[tuple[int, str, float]]) -> None:
     options = ("optim.sds.every=2", "optim.sds.start_step=3", "optim.sds.posed_probability=0")
     train("variant=D", SHORT, *options)
