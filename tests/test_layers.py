@@ -24,6 +24,7 @@ LAYERS = [
         "processes",
         "config",
         "compose",
+        "needs",
         "plan",
         "pictures",
         "runfolder",

@@ -17,6 +17,7 @@ from occfusion.files.atomic import write_json
 from occfusion.human import load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.init_run import run_init
+from occfusion.needs import as_planned
 from occfusion.priors.registry import make_score_prior
 from occfusion.processes import is_helper, tell_helpers
 from occfusion.recipes.appearance import Coarse, CoarseScene
@@ -113,7 +114,7 @@ def _run_stage(run_: Run, name: str) -> None:
         settings.evaluation.curve_images,
         settings.evaluation.curve_first_second,
     )
-    planned = planning.as_planned(settings, run_.moments)
+    planned = as_planned(settings, run_.moments)
     identity = {"settings": optim_hash(planned), "data": run_.data_hash, "curve": curve}
     shared = shared_folder(run_.folder, settings.shared_dir, name, identity)
     with sole_maker(shared, name):
@@ -214,7 +215,7 @@ def _make_densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | 
 
 def _make_distiller(run_: Run) -> Distiller[Any] | None:
     """Returns score distillation, its prior loaded, where the plan has a term of it."""
-    settings = planning.as_planned(run_.settings, run_.moments)
+    settings = as_planned(run_.settings, run_.moments)
     if not settings.optim.sds.is_used:
         return None
     assert run_.moments is not None

@@ -15,6 +15,7 @@ from occfusion.files.atomic import write_json
 from occfusion.human import Avatar
 from occfusion.init_run import look_at_training_frames
 from occfusion.inpaint.registry import check_inpainter
+from occfusion.needs import Decision, as_planned, with_everything
 from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior
@@ -70,7 +71,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
     moments = look_at_training_frames(data, body) if is_prior_asked else None
     if moments is not None and settings.plan == "full":
-        moments = planning.with_everything(moments)
+        moments = with_everything(moments)
     decisions = planning.make_plan(settings, summary, backend, moments)
     _check_priors(settings, decisions)
     folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
@@ -88,7 +89,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     trained = [getattr(settings, stage) for stage in stages if stage != "init"]
     if settings.evaluation.perceptual or any(stage.lambda_lpips for stage in trained):
         perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
-    optim = settings.optim
+    optim = as_planned(settings, moments).optim
     avatar = Avatar(
         body,
         sh_degree=planning.reached_sh_degree(settings),
@@ -100,7 +101,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"], stages)
 
 
-def _check_priors(settings: Settings, decisions: list[planning.Decision]) -> None:
+def _check_priors(settings: Settings, decisions: list[Decision]) -> None:
     """Refuses a run whose networks cannot be loaded, before any training; those that it does not need may be absent.
 
     Raises:

@@ -1,0 +1,168 @@
+"""What a scene needs of the system, decided on what its masks and poses show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from occfusion.config import STAGES, Settings, stages_to_run
+from occfusion.priors.evidence import HIDDEN_SHARE
+from occfusion.priors.moments import Moment
+from occfusion.stages.avatar import BOX_PADDING
+
+HIDDEN_STAGES = ("init",)
+"""Stages that are about what is hidden alone: left out where nothing is. The refinement is not one of them: without
+references it still trains on, with more Gaussians (docs/leaving_out.md has what that gains)."""
+
+MOSTLY_HIDDEN = 0.9
+"""Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on."""
+
+FITTING = 5e-4
+"""Of the body's core: where less lies outside the masks of whole people, poses need no mending. Embedded scenes with
+exact poses have 0, those with an estimator's errors and ragged masks 2.6e-3."""
+FRAMES_TO_JUDGE = 10
+"""Fewer frames say too little about how well poses fit."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One part of the system: whether it is used, and why.
+
+    Attributes:
+        part: what is decided about.
+        used: whether the run does it.
+        reason: the setting or measurement that decided.
+    """
+
+    part: str
+    used: bool
+    reason: str
+
+
+def stage_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
+    """Returns the decisions on the stages, in order."""
+    decisions = []
+    for stage in STAGES:
+        part, variant = f"stage {stage}", settings.variant.name
+        if stage not in settings.variant.stages:
+            decisions.append(Decision(part, False, f"variant {variant} does not need it"))
+        elif stage not in stages_to_run(settings):
+            decisions.append(Decision(part, False, f"stage={settings.stage.name} asks for another"))
+        elif stage in HIDDEN_STAGES and moments is not None and not _occluded(moments):
+            decisions.append(Decision(part, False, _hidden_reason(moments)))
+        else:
+            decisions.append(Decision(part, True, f"variant {variant} needs it"))
+    return decisions
+
+
+def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
+    """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order.
+
+    Where no frame is occluded, neither has anything to add to what is seen. Nor has either where every occluded frame
+    gets a complete mask (docs/refinement.md has the figures): the whole system then leaves both out, while `C` and
+    `D`, which are there to show them, keep them.
+    """
+    sds = settings.optim.sds
+    reasons = [f"optim.sds.lambda_{name} = {getattr(sds, f'lambda_{name}'):g}" for name in ("pose", "can")]
+    used = [sds.lambda_pose > 0, sds.lambda_can > 0]
+    if used[0] and sds.where == "hidden" and moments is not None:
+        hidden = sum(bool(moment.evidence.hidden.any()) for moment in moments)
+        reasons[0] += f"; {hidden} of {len(moments)} training frames have hidden pixels to push"
+        used[0] = hidden > 0
+    if moments is not None and not _occluded(moments):
+        reasons = [f"{reason}; {_hidden_reason(moments)}" for reason in reasons]
+        used = [False, False]
+    elif moments is not None and any(used) and settings.variant.name == "E" and settings.plan == "needed":
+        most = max(moment.evidence.hidden_share for moment in moments)
+        if most <= MOSTLY_HIDDEN:
+            known = f"all {_occluded(moments)} occluded frames get complete masks and show at least {1 - most:.0%}"
+            reasons = [f"{reason}; {known} of the body: it changed nothing then" for reason in reasons]
+            used = [False, False]
+    names = ("loss term sds_pose", "loss term sds_can")
+    return [Decision(*parts) for parts in zip(names, used, reasons, strict=True)]
+
+
+def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
+    """Returns the decisions on pose refinement and the skinning network, in this order.
+
+    They mend poses. The whole system leaves them out of a scene in which nothing is hidden and every pose fits: the
+    masks then show the core of the body wherever the body model has it (docs/leaving_out.md has the figures).
+    """
+    optim = settings.optim
+    decisions = [
+        Decision("pose refinement", optim.refine_pose, f"optim.refine_pose = {optim.refine_pose}"),
+        Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
+    ]
+    is_whole_system = settings.variant.name == "E" and settings.plan == "needed"
+    if not is_whole_system or not moments or _occluded(moments) or len(moments) < FRAMES_TO_JUDGE:
+        return decisions
+    misfit = float(np.mean([moment.evidence.hidden_share for moment in moments]))
+    shown = f"{misfit:.3%} of the body's core lies outside the masks in the mean; {FITTING:.2%} would need mending"
+    return [replace(d, used=d.used and misfit >= FITTING, reason=f"{d.reason}; {shown}") for d in decisions]
+
+
+def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings:
+    """Returns the settings without the distillation and networks that the plan leaves out: what training goes by."""
+    pose, can = (decision.used for decision in sds_decisions(settings, moments))
+    refine_pose, learn_skinning = (decision.used for decision in network_decisions(settings, moments))
+    sds = settings.optim.sds
+    sds = replace(
+        sds, lambda_pose=sds.lambda_pose if pose else 0.0, lambda_can=sds.lambda_can if can else 0.0
+    )
+    optim = replace(settings.optim, sds=sds, refine_pose=refine_pose, learn_skinning=learn_skinning)
+    return replace(settings, optim=optim)
+
+
+def generated_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+    """The term on what was inpainted has nothing to look at where nothing was."""
+    weight = settings.refine.lambda_gen
+    used, reason = weight > 0, f"refine.lambda_gen = {weight:g}"
+    if moments is not None and not _occluded(moments):
+        used, reason = False, f"{reason}; {_hidden_reason(moments)}"
+    return Decision("loss term gen in refine", used, reason)
+
+
+def box_reason(moments: Sequence[Moment] | None) -> str:
+    """Returns how much of the pictures is rendered, where that is known."""
+    reason = "rendered crops hold every Gaussian"
+    if not moments:
+        return reason
+    shares = []
+    for moment in moments:
+        height, width = moment.evidence.hidden.shape
+        low = np.clip(moment.motion.pixels.min(axis=0) - BOX_PADDING, 0, (width, height))
+        high = np.clip(moment.motion.pixels.max(axis=0) + BOX_PADDING, 0, (width, height))
+        shares.append(float(np.prod(high - low)) / (width * height))
+    return (
+        f"{reason}; the body's box is {np.mean(shares):.0%} of the picture in the mean of the training frames"
+    )
+
+
+def mask_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+    """Returns whether any mask is completed."""
+    if moments is None or "init" not in settings.variant.stages:
+        return Decision("complete masks", False, f"variant {settings.variant.name} trains on visible masks")
+    return Decision("complete masks", _occluded(moments) > 0, _hidden_reason(moments))
+
+
+def inpainting_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+    """Returns whether any frame is inpainted."""
+    if moments is None or "refine" not in settings.variant.stages:
+        return Decision("inpainting", False, f"variant {settings.variant.name} does not need it")
+    reason = f"{_hidden_reason(moments)}; the others are not inpainted"
+    return Decision("inpainting", _occluded(moments) > 0, reason)
+
+
+def with_everything(moments: Sequence[Moment]) -> list[Moment]:
+    """Returns the moments with each frame counted as occluded, for `plan=full`."""
+    return [replace(moment, evidence=replace(moment.evidence, occluded=True)) for moment in moments]
+
+
+def _occluded(moments: Sequence[Moment]) -> int:
+    return sum(moment.evidence.occluded for moment in moments)
+
+
+def _hidden_reason(moments: Sequence[Moment]) -> str:
+    return f"{_occluded(moments)} of {len(moments)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"

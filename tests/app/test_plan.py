@@ -1,0 +1,99 @@
+"""What the plan leaves out, decided on made-up frames."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+
+from occfusion import plan as planning
+from occfusion.config import Settings, load_settings, optim_hash
+from occfusion.needs import as_planned, box_reason
+from occfusion.priors.consistency import Motion
+from occfusion.priors.evidence import HIDDEN_SHARE, Evidence
+from occfusion.priors.moments import Moment
+
+CONF = Path(__file__).parents[2] / "conf"
+SUMMARY = {"occluded_frames": 0, "frames": 12}
+
+
+def settings_of(*overrides: str) -> Settings:
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return load_settings(compose("config", list(overrides)))
+
+
+def frames(*shares: float) -> list[Moment]:
+    """Returns frames of 100 x 50 px that hide these shares of a body in the middle, 20 x 24 px large."""
+    nothing = np.zeros((50, 100), dtype=bool)
+    motion = Motion(np.array([[40.0, 10.0], [60.0, 34.0]]), np.ones(2))
+    keypoints = np.zeros((18, 3))
+    return [
+        Moment(
+            k, np.zeros((2, 3)), keypoints, motion, Evidence(nothing, nothing, share, share > HIDDEN_SHARE)
+        )
+        for k, share in enumerate(shares)
+    ]
+
+
+def used(settings: Settings, moments: list[Moment] | None) -> dict[str, bool]:
+    return {d.part: d.used for d in planning.make_plan(settings, SUMMARY, "torch", moments)}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "shares", "mended"),
+    [
+        ((), [0.0] * 12, False),
+        ((), [0.0] * 11 + [0.02], True),  # 0.17 % in the mean
+        ((), [0.0] * 9, True),  # too few to tell
+        ((), [0.0] * 11 + [0.5], True),  # something is hidden
+        (("plan=full",), [0.0] * 12, True),
+        (("variant=D",), [0.0] * 12, True),
+        (("optim.refine_pose=false", "optim.learn_skinning=false"), [0.02] * 12, False),
+    ],
+)
+def test_networks_mend_poses_that_do_not_fit(
+    overrides: tuple[str, ...], shares: list[float], mended: bool
+) -> None:
+    settings, moments = settings_of(*overrides), frames(*shares)
+    plan = used(settings, moments)
+    assert plan["pose refinement"] == plan["skinning network"] == mended
+    planned = as_planned(settings, moments).optim
+    assert planned.refine_pose == planned.learn_skinning == mended
+
+
+@pytest.mark.parametrize(
+    ("overrides", "shares", "distilled"),
+    [
+        ((), [0.0] * 4 + [0.5] * 8, False),
+        ((), [0.0] * 4 + [0.5] * 7 + [0.95], True),
+        (("variant=D",), [0.0] * 4 + [0.5] * 8, True),
+        (("variant=D",), [0.0] * 12, False),
+        (("plan=full",), [0.0] * 4 + [0.5] * 8, True),
+    ],
+)
+def test_distillation_where_masks_are_complete(
+    overrides: tuple[str, ...], shares: list[float], distilled: bool
+) -> None:
+    settings, moments = settings_of(*overrides, "optim.sds.where=everywhere"), frames(*shares)
+    plan = used(settings, moments)
+    assert plan["loss term sds_pose"] == plan["loss term sds_can"] == distilled
+    assert as_planned(settings, moments).optim.sds.is_used == distilled
+
+
+def test_what_is_left_out_does_not_keep_results_apart() -> None:
+    """`E` without distillation optimises what `B` does, and may take it over."""
+    moments = frames(*[0.5] * 12)
+    whole, masks = (as_planned(settings_of(f"variant={v}"), moments) for v in "EB")
+    assert optim_hash(whole) == optim_hash(masks)
+    assert optim_hash(whole) != optim_hash(settings_of("variant=E"))
+
+
+def test_the_share_of_the_picture_is_measured() -> None:
+    (reason,) = (
+        d.reason
+        for d in planning.make_plan(settings_of(), SUMMARY, "torch", frames(*[0.0] * 3))
+        if d.part.startswith("pixels outside")
+    )
+    # the body's 20 x 24 px and 8 more on each side, of 100 x 50
+    assert f"{36 * 40 / 5000:.0%}" in reason
+    assert "rendered crops" in box_reason(None)
