@@ -74,7 +74,7 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
     if moments is not None and not _occluded(moments):
         reasons = [f"{reason}; {_hidden_reason(moments)}" for reason in reasons]
         used = [False, False]
-    elif moments is not None and any(used) and settings.variant.name == "E" and settings.plan == "needed":
+    elif moments is not None and any(used) and _may_leave_out(settings):
         most = max(moment.evidence.hidden_share for moment in moments)
         if most <= MOSTLY_HIDDEN:
             known = f"all {_occluded(moments)} occluded frames get complete masks and show at least {1 - most:.0%}"
@@ -95,8 +95,7 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
         Decision("pose refinement", optim.refine_pose, f"optim.refine_pose = {optim.refine_pose}"),
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
-    is_whole_system = settings.variant.name == "E" and settings.plan == "needed"
-    if not is_whole_system or not moments or _occluded(moments) or len(moments) < FRAMES_TO_JUDGE:
+    if not _may_leave_out(settings) or not moments or _occluded(moments) or len(moments) < FRAMES_TO_JUDGE:
         return decisions
     misfit = float(np.mean([moment.evidence.hidden_share for moment in moments]))
     shown = f"{misfit:.3%} of the body's core lies outside the masks in the mean; {FITTING:.2%} would need mending"
@@ -158,6 +157,11 @@ def inpainting_decision(settings: Settings, moments: Sequence[Moment] | None) ->
 def with_everything(moments: Sequence[Moment]) -> list[Moment]:
     """Returns the moments with each frame counted as occluded, for `plan=full`."""
     return [replace(moment, evidence=replace(moment.evidence, occluded=True)) for moment in moments]
+
+
+def _may_leave_out(settings: Settings) -> bool:
+    """Returns whether parts may go that the other variants are there to show: in the whole system, unless all is asked."""
+    return settings.variant.name == "E" and settings.plan == "needed"
 
 
 def _occluded(moments: Sequence[Moment]) -> int:
