@@ -160,7 +160,7 @@ def with_everything(moments: Sequence[Moment]) -> list[Moment]:
 
 
 def _may_leave_out(settings: Settings) -> bool:
-    """Returns whether parts may go that the other variants are there to show: in the whole system, unless all is asked."""
+    """Returns whether parts may go that other variants are there to show: in the whole system, unless all is asked."""
     return settings.variant.name == "E" and settings.plan == "needed"
 
 
