@@ -1,25 +1,17 @@
 """What the plan leaves out, decided on made-up frames."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
 
+from app.test_config import settings_of
 from occfusion import plan as planning
-from occfusion.config import Settings, load_settings, optim_hash
+from occfusion.config import Settings, optim_hash
 from occfusion.needs import as_planned, box_reason
 from occfusion.priors.consistency import Motion
 from occfusion.priors.evidence import HIDDEN_SHARE, Evidence
 from occfusion.priors.moments import Moment
 
-CONF = Path(__file__).parents[2] / "conf"
 SUMMARY = {"occluded_frames": 0, "frames": 12}
-
-
-def settings_of(*overrides: str) -> Settings:
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return load_settings(compose("config", list(overrides)))
 
 
 def frames(*shares: float) -> list[Moment]:
