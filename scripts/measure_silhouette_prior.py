@@ -19,9 +19,10 @@ from torch import Tensor
 from occfusion.priors.batches import Batch, hidden_batch
 from occfusion.priors.completion import hidden_iou
 from occfusion.priors.corpus import Estimate, draw_camera, draw_poses, make_example
-from occfusion.priors.diffusion import posterior_mean, sample
+from occfusion.priors.diffusion import sample
 from occfusion.priors.hiding import centre_strip, random_half
 from occfusion.priors.limbs import GROUPS
+from occfusion.priors.silhouette import SilhouetteNet
 from occfusion.priors.weights import load_silhouette_net
 from occfusion.synth.dress import dress
 from occfusion.synth.spec import HELD_OUT_FROM
@@ -92,7 +93,7 @@ def make_batches(numbers: range, count: int, estimate: Estimate, held_out: bool)
 
 
 def measure(
-    net: torch.nn.Module, batches: dict[str, dict[str, list[Batch]]], sampling: bool
+    net: SilhouetteNet, batches: dict[str, dict[str, list[Batch]]], sampling: bool
 ) -> dict[str, dict[str, float]]:
     """Returns the mean hidden IoU of each way to complete."""
     methods: dict[str, tuple[str, Callable[[Batch], Tensor]]] = {
@@ -144,18 +145,18 @@ def capsules(batch: Batch) -> Tensor:
     return drawn | (maps[:, :1] > float(np.exp(-0.5 * 2.0**2)))
 
 
-def mean_of(net: torch.nn.Module, *dropped: str) -> Callable[[Batch], Tensor]:
+def mean_of(net: SilhouetteNet, *dropped: str) -> Callable[[Batch], Tensor]:
     """Returns completion by one evaluation of the posterior mean, some conditions not given."""
 
     def complete(batch: Batch) -> Tensor:
         conditions = batch.conditions.without(*dropped)
-        noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0))
-        return posterior_mean(lambda x, t: net(x, t, conditions), noise) > 0.0
+        noise = torch.randn(1, *batch.clean.shape[1:], generator=torch.Generator().manual_seed(0))
+        return net.probability(conditions, noise) > 0.5
 
     return complete
 
 
-def sampled(net: torch.nn.Module, count: int) -> Callable[[Batch], Tensor]:
+def sampled(net: SilhouetteNet, count: int) -> Callable[[Batch], Tensor]:
     """Returns completion by the mean of samples of 20 steps."""
 
     def complete(batch: Batch) -> Tensor:

@@ -74,16 +74,16 @@ def run_prior_training(
         trainer.fit(stage, loader, ckpt_path=checkpoint, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(folder / "last.ckpt"))
+    trained = stage.finished()
+    figures = recipe.finish(trained, stage.device)
     card = {
         "training": asdict(training) | {"seed": settings.seed},
         "train_seconds": round(stage.clock.seconds, 1),
         "threads": torch.get_num_threads(),
-        "validation": curve.last,
+        "validation": curve.last | figures,
         "data": recipe.data,
     }
-    save_net(
-        folder / WEIGHTS, stage.finished(), recipe.kind, recipe.size, training.widths, training.depth, card
-    )
+    save_net(folder / WEIGHTS, trained, recipe.kind, recipe.size, training.widths, training.depth, card)
     write_json(folder / "card.json", card)
     print(f"weights: {folder / WEIGHTS}")
     return card

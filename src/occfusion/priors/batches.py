@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from occfusion.priors.conditions import Conditions, make_conditions
 from occfusion.priors.corpus import make_corpus
 from occfusion.priors.hiding import centre_strip, draw_hidden, observed, random_half
 from occfusion.priors.keypoints import MIRRORED
-from occfusion.priors.silhouette import Conditions, make_conditions
 
 DROP_BODY, DROP_POSE, DROP_BACKGROUND, DROP_ALL = 0.12, 0.15, 0.4, 0.06
 DROP_JOINT = 0.08
@@ -67,12 +68,38 @@ def validation_batches(count: int, seed: int, size: int = 16) -> dict[str, list[
     return found
 
 
-def hidden_batch(examples: list[Fields], hidden: list[NDArray[np.bool_]]) -> Batch:
-    """Returns examples behind given occluders, bool `[S, S]` each, with every condition as it is."""
+def fusion_batches(count: int, seed: int, size: int = 16) -> Iterator[Batch]:
+    """Yields silhouettes of the training subjects behind random occluders, every condition given.
+
+    Args:
+        count: silhouettes.
+        seed: other than the corpus's.
+        size: of a batch.
+    """
+    rng = np.random.default_rng([seed, 5])
     rows: list[Fields] = []
-    for example, mask in zip(examples, hidden, strict=True):
+    for made, example in enumerate(make_corpus(count, seed), 1):
+        rows.append(dict(vars(example)))
+        if len(rows) == size or made == count:
+            people = [observed(row["person"].astype(np.float32) / 255.0, rng) for row in rows]
+            yield hidden_batch(rows, [draw_hidden(person, rng) for person in people], people)
+            rows = []
+
+
+def hidden_batch(
+    examples: list[Fields], hidden: list[NDArray[np.bool_]], segmented: list[NDArray[np.bool_]] | None = None
+) -> Batch:
+    """Returns examples behind given occluders, with every condition as it is.
+
+    Args:
+        examples: fields of `corpus.Example`.
+        hidden: what each occluder covers, bool `[S, S]`.
+        segmented: each person as segmented, with errors, bool `[S, S]`; None: without.
+    """
+    rows: list[Fields] = []
+    for k, (example, mask) in enumerate(zip(examples, hidden, strict=True)):
         parts = _as_floats(example)
-        seen = parts["person"] > 0.5
+        seen = parts["person"] > 0.5 if segmented is None else segmented[k]
         rows.append(
             {
                 "clean": 2.0 * parts["person"] - 1.0,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
 from occfusion.priors.evidence import Evidence, person_size
+from occfusion.priors.logistic import fit_logistic, sigmoid
 from occfusion.priors.masks import MaskPrior, checked_probability
 from occfusion.priors.moments import Moment
 from occfusion.types import Camera, Frame
@@ -36,7 +37,6 @@ SCALE = 0.02
 MAX_LOGIT = 6.0
 STRENGTH = 30.0
 """Of the prior belief that the prior's answer alone is right, in pixels."""
-NEWTON_STEPS = 12
 STILL = (1.0, 0.0, 0.0)
 
 
@@ -76,7 +76,7 @@ class Calibration:
             return probability
         outline = _outline(moment, camera, body)
         scores = _features(probability, outline.depth_inside(self.thickness)) @ np.array(self.weights)
-        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(scores, -30.0, 30.0))), np.float32)
+        return sigmoid(scores).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def calibrate(
     x, y = np.concatenate(rows), np.concatenate(labels)
     if len(y) < 100 or y.all() or not y.any():
         return Calibration(STILL, thickness, len(y))
-    weights = _logistic(x, y)
+    weights = fit_logistic(x, y, np.array(STILL), STRENGTH)
     return Calibration(
         weights=(float(weights[0]), float(weights[1]), float(weights[2])),
         thickness=thickness,
@@ -222,18 +222,6 @@ def _borrowed(occluded: Moment, moment: Moment, rng: np.random.Generator) -> Mas
 
 def _unknown(evidence: Evidence) -> Mask:
     return cv2.dilate(evidence.hidden.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=3).astype(bool)
-
-
-def _logistic(x: Floats, y: Mask) -> Floats:
-    """Returns the weights of a logistic regression drawn towards `STILL`, by Newton's method."""
-    still, target = np.array(STILL), y.astype(np.float64)
-    weights = still.copy()
-    for _ in range(NEWTON_STEPS):
-        p = 1.0 / (1.0 + np.exp(-np.clip(x @ weights, -30.0, 30.0)))
-        slope = x.T @ (p - target) + STRENGTH * (weights - still)
-        curvature = (x * (p * (1.0 - p))[:, None]).T @ x + STRENGTH * np.eye(3)
-        weights = weights - np.linalg.solve(curvature, slope)
-    return weights
 
 
 def _iou(a: Mask, b: Mask) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor
 
@@ -19,9 +21,28 @@ def hidden_iou(completed: Tensor, clean: Tensor, hidden: Tensor) -> Tensor:
 
 @torch.no_grad()
 def completion_iou(net: SilhouetteNet, batch: Batch, device: torch.device, seed: int = 0) -> Tensor:
-    """Returns the hidden IoU of each crop by one evaluation of the posterior mean, `[B]`."""
+    """Returns the hidden IoU of each crop by one evaluation, `[B]`."""
     conditions = batch.conditions.to(device)
-    noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(seed)).to(device)
-    mean = posterior_mean(lambda x, t: net(x, t, conditions), noise).cpu()
+    noise = torch.randn(1, *batch.clean.shape[1:], generator=torch.Generator().manual_seed(seed)).to(device)
+    completed = net.probability(conditions, noise).cpu() > 0.5
     hidden = (batch.conditions.visible + batch.conditions.background) == 0
-    return hidden_iou(mean > 0.0, batch.clean > 0.0, hidden)
+    return hidden_iou(completed, batch.clean > 0.0, hidden)
+
+
+@torch.no_grad()
+def fit_fusion(net: SilhouetteNet, batches: Iterable[Batch], device: torch.device, seed: int = 0) -> None:
+    """Fits how a network's posterior mean and the body are fused; see `BodyFusion`.
+
+    Args:
+        net: trained; its fusion is set.
+        batches: of silhouettes that it was not trained on, their bodies as wrong as in use.
+        device: where it runs.
+        seed: of the noise.
+    """
+    answers = []
+    for batch in batches:
+        conditions = batch.conditions.to(device)
+        noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(seed)).to(device)
+        mean = posterior_mean(lambda x, t, c=conditions: net(x, t, c), noise)  # type: ignore[misc]
+        answers.append((mean.cpu(), batch.conditions, batch.clean))
+    net.fusion.fit(answers)

@@ -10,10 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from occfusion.priors.conditions import Conditions, make_conditions
 from occfusion.priors.crop import Square
-from occfusion.priors.diffusion import posterior_mean, sample
+from occfusion.priors.diffusion import sample
 from occfusion.priors.masks import MaskPrior, Observation
-from occfusion.priors.silhouette import Conditions, make_conditions
 from occfusion.priors.views import PersonView, view_observation
 from occfusion.priors.weights import load_silhouette_net
 
@@ -24,7 +24,7 @@ class EmbeddedSettings:
 
     Attributes:
         samples: posterior samples a frame, whose mean is the probability; 0: the posterior mean, by `draws`
-            evaluations of the network.
+            evaluations of the network, fused with the body mesh.
         draws: evaluations of the posterior mean, each with other noise.
         steps: evaluations for each sample.
         seed: of the noise, which all frames share: what differs between frames is then what they show.
@@ -77,19 +77,17 @@ class EmbeddedMaskPrior(MaskPrior):
         """Returns the probability of the person in crops, `[B, 1, S, S]`, 0..1."""
         settings = self.settings
         count = settings.samples or settings.draws
-        expanded = conditions.expand(count)
         generator = torch.Generator().manual_seed(settings.seed)
         noise = torch.randn(count, 1, self.size, self.size, generator=generator).to(self.device)
-        noise = noise.repeat(len(conditions), 1, 1, 1)
+        if not settings.samples:
+            return self.net.probability(conditions, noise)
+        expanded, noise = conditions.expand(count), noise.repeat(len(conditions), 1, 1, 1)
 
         def predict(noisy: Tensor, t: Tensor) -> Tensor:
             prediction: Tensor = self.net(noisy, t, expanded)
             return prediction
 
-        if settings.samples:
-            silhouettes = (sample(predict, noise, settings.steps) > 0.0).to(noise.dtype)
-        else:
-            silhouettes = 0.5 + 0.5 * posterior_mean(predict, noise)
+        silhouettes = (sample(predict, noise, settings.steps) > 0.0).to(noise.dtype)
         return silhouettes.reshape(len(conditions), count, *noise.shape[1:]).mean(dim=1)
 
 

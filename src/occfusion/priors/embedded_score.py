@@ -7,11 +7,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from occfusion.priors.conditions import Conditions
 from occfusion.priors.diffusion import alpha_sigma, clean_and_noise
 from occfusion.priors.distillation import guided
 from occfusion.priors.embedded import make_view_conditions
 from occfusion.priors.score import ScorePrior
-from occfusion.priors.silhouette import Conditions
 from occfusion.priors.views import PersonView
 from occfusion.priors.weights import load_silhouette_net
 

@@ -43,3 +43,7 @@ class Recipe(ABC, Generic[Net]):
     @abstractmethod
     def measure(self, net: Net, device: torch.device) -> dict[str, float]:
         """Returns the figures of a network on data that it is not trained on."""
+
+    def finish(self, net: Net, device: torch.device) -> dict[str, float]:
+        """Fits what is fitted once the network is trained; returns figures for the card."""
+        return {}

@@ -6,14 +6,16 @@ from pathlib import Path
 
 import torch
 
-from occfusion.priors.batches import Batch, validation_batches
-from occfusion.priors.completion import completion_iou
+from occfusion.priors.batches import Batch, fusion_batches, validation_batches
+from occfusion.priors.completion import completion_iou, fit_fusion
 from occfusion.priors.corpus import SIZE
 from occfusion.priors.corpus_folder import Corpus
 from occfusion.priors.silhouette import SilhouetteNet
 from occfusion.priors.weights import SILHOUETTE
 from occfusion.recipes.recipe import Recipe
 from occfusion.stages.settings import PriorTrainingSettings
+
+FUSION_SILHOUETTES = 1500
 
 
 class SilhouetteRecipe(Recipe[SilhouetteNet]):
@@ -55,6 +57,12 @@ class SilhouetteRecipe(Recipe[SilhouetteNet]):
         if self._batches is None:
             self._batches = validation_batches(self.settings.validation, self.seed + 1)
         return {f"{kind}_iou": _mean_iou(net, batches, device) for kind, batches in self._batches.items()}
+
+    def finish(self, net: SilhouetteNet, device: torch.device) -> dict[str, float]:
+        """Fits how the network's answers and the body are fused, on silhouettes that it was not trained on."""
+        count = min(FUSION_SILHOUETTES, self.settings.examples)
+        fit_fusion(net, fusion_batches(count, self.seed + 2), device)
+        return {f"fused_{name}": value for name, value in self.measure(net, device).items()}
 
 
 def _mean_iou(net: SilhouetteNet, batches: list[Batch], device: torch.device) -> float:
