@@ -4,6 +4,8 @@ VENV ?= .venv
 # The index serves CUDA builds to whoever asks for the newest torch; a machine with its own torch keeps it.
 TORCH ?= torch==2.13.0
 PYTEST_ARGS ?= -m "not slow"
+# test files are dealt out to this many processes
+WORKERS ?= 2
 
 .PHONY: install demo test lint
 install: $(VENV)/.installed
@@ -18,7 +20,7 @@ demo: install
 	$(VENV)/bin/python train.py
 
 test: install
-	$(VENV)/bin/python -m pytest $(PYTEST_ARGS)
+	$(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal $(PYTEST_ARGS)
 
 lint: install
 	$(VENV)/bin/python -m ruff check .

@@ -28,10 +28,15 @@ from occfusion.synth.dress import dress
 from occfusion.synth.spec import HELD_OUT_FROM
 from occfusion.synth.subject import make_subject
 
+TRUNK = (0, 3, 6, 9, 13, 14)
+UPPER_LIMBS = (12, 1, 2, 16, 17)
 BODIES = {
     "true pose and shape": Estimate(),
     "true pose, mean shape": Estimate(shape_noise=np.inf),
     "0.08 rad pose noise": Estimate(pose_noise=0.08),
+    "0.08 rad, root true": Estimate(pose_noise=0.08, exact=(0,)),
+    "0.08 rad, root and trunk true": Estimate(pose_noise=0.08, exact=TRUNK),
+    "0.08 rad, also neck, thighs, upper arms true": Estimate(pose_noise=0.08, exact=TRUNK + UPPER_LIMBS),
 }
 CAPSULE = 0.035  # crop widths, radius of a limb
 
@@ -104,6 +109,7 @@ def measure(
         "body mesh, 0.08 rad pose noise": ("0.08 rad pose noise", mesh),
         "**prior, true pose and shape**": ("true pose and shape", mean_of(net)),
         "**prior, 0.08 rad pose noise**": ("0.08 rad pose noise", mean_of(net)),
+        **{f"prior, {name}": (name, mean_of(net)) for name in BODIES if name.startswith("0.08 rad, ")},
         "prior, true pose, mean shape": ("true pose, mean shape", mean_of(net)),
         "prior, true pose and shape, background not given": (
             "true pose and shape",

@@ -13,7 +13,7 @@ from occfusion.data.zju import ZjuDataModule
 from occfusion.errors import DataError, NumericsError
 from occfusion.files.images import read_mask
 from occfusion.human import Body, load_body
-from occfusion.priors.calibration import STILL, Calibration, _logistic, calibrate, measure_thickness
+from occfusion.priors.calibration import STILL, Calibration, calibrate, measure_thickness
 from occfusion.priors.masks import MaskPrior, Observation
 from occfusion.priors.moments import Moment, look
 from occfusion.priors.weights import SILHOUETTE, load_silhouette_net, save_net
@@ -168,21 +168,6 @@ def test_manifest_says_with_what(make: Make, data: ZjuDataModule) -> None:
 
 
 # -- calibration ----------------------------------------------------------------------------------------------
-
-
-def test_logistic_regression_against_an_optimiser() -> None:
-    from scipy.optimize import minimize
-
-    rng = np.random.default_rng(0)
-    x = np.column_stack([rng.normal(size=(400, 2)), np.ones(400)])
-    y = rng.random(400) < 1 / (1 + np.exp(-x @ np.array([0.5, 2.0, -0.3])))
-
-    def loss(w: np.ndarray) -> float:
-        return float(
-            np.logaddexp(0.0, np.where(y, -1, 1) * (x @ w)).sum() + 15.0 * np.square(w - [1, 0, 0]).sum()
-        )
-
-    assert np.allclose(_logistic(x, y), minimize(loss, np.zeros(3), tol=1e-12).x, atol=1e-4)
 
 
 def test_a_prior_that_knows_nothing_is_calibrated_to_the_body(

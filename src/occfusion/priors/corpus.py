@@ -85,12 +85,14 @@ class Estimate:
         shape_noise: of each shape component; infinite: the mean shape.
         place_noise: of each coordinate of the translation, metres.
         inflation: how far the skin is moved outwards, metres.
+        exact: joints whose angles are right all the same.
     """
 
     pose_noise: float = 0.0
     shape_noise: float = 0.0
     place_noise: float = 0.0
     inflation: float = 0.0
+    exact: tuple[int, ...] = ()
 
 
 @cache
@@ -203,7 +205,9 @@ def _estimated(
     betas = subject.betas * 0.0 if np.isinf(estimate.shape_noise) else subject.betas
     if np.isfinite(estimate.shape_noise):
         betas = betas + estimate.shape_noise * rng.standard_normal(len(betas))
-    pose = pose + estimate.pose_noise * rng.standard_normal(72)
+    noise = estimate.pose_noise * rng.standard_normal((24, 3))
+    noise[list(estimate.exact)] = 0.0
+    pose = pose + noise.ravel()
     rest = model.template + model.shapedirs @ betas
     if estimate.inflation:
         rest = rest + estimate.inflation * vertex_normals(rest, model.faces)
