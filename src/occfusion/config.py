@@ -208,6 +208,8 @@ def _check_choices(settings: Settings) -> None:
     _check_in("init.source", settings.init.source, ("prior", "truth"))
     _check_in("plan", settings.plan, ("needed", "full"))
     _check_in("refine.source", settings.refine.source, ("prior", "coarse", "truth"))
+    _check_in("refine.gen_pixels", settings.refine.gen_pixels, ("unseen", "hidden"))
+    _check_in("refine.lpips_pixels", settings.refine.lpips_pixels, ("visible", "all"))
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
     _check_in("trainer.strategy", settings.trainer.strategy, STRATEGIES)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))

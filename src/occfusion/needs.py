@@ -23,7 +23,7 @@ FITTING = 5e-4
 """Of the body's core: where less lies outside the masks of whole people, poses need no mending. Embedded scenes with
 exact poses have 0, those with an estimator's errors and ragged masks 2.6e-3."""
 FRAMES_TO_JUDGE = 10
-"""Fewer frames say too little about how well poses fit."""
+"""Fewer frames of a whole person say too little about how well poses fit."""
 
 
 @dataclass(frozen=True)
@@ -87,18 +87,20 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
 def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
     """Returns the decisions on pose refinement and the skinning network, in this order.
 
-    They mend poses. The whole system leaves them out of a scene in which nothing is hidden and every pose fits: the
-    masks then show the core of the body wherever the body model has it (docs/leaving_out.md has the figures).
+    They mend poses. The whole system leaves them out where poses fit: the masks of the frames that show a whole person
+    then show the core of the body wherever the body model has it (docs/leaving_out.md has the figures).
     """
     optim = settings.optim
     decisions = [
         Decision("pose refinement", optim.refine_pose, f"optim.refine_pose = {optim.refine_pose}"),
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
-    if not _may_leave_out(settings) or not moments or _occluded(moments) or len(moments) < FRAMES_TO_JUDGE:
+    whole = [moment for moment in moments or () if not moment.evidence.occluded]
+    if not _may_leave_out(settings) or len(whole) < FRAMES_TO_JUDGE:
         return decisions
-    misfit = float(np.mean([moment.evidence.hidden_share for moment in moments]))
-    shown = f"{misfit:.3%} of the body's core lies outside the masks in the mean; {FITTING:.2%} would need mending"
+    misfit = float(np.mean([moment.evidence.hidden_share for moment in whole]))
+    shown = f"{misfit:.3%} of the body's core lies outside the masks of {len(whole)} frames that show a whole person"
+    shown += f"; {FITTING:.2%} would need mending"
     return [replace(d, used=d.used and misfit >= FITTING, reason=f"{d.reason}; {shown}") for d in decisions]
 
 

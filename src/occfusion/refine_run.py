@@ -61,7 +61,8 @@ def make_references(
         return data.train_frame(position, truth=False, complete=True)
 
     inpainter = _make_inpainter(settings, data, device)
-    stage = InpaintStage(inpainter, avatar.eval(), moments, folder / FOLDER, identity, backend)
+    place, gen_pixels = folder / FOLDER, settings.refine.gen_pixels
+    stage = InpaintStage(inpainter, avatar.eval(), moments, place, identity, backend, gen_pixels)
     wanted = stage.wanted
     if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
         wanted = [k for k in wanted if k == data.position_at(0)]

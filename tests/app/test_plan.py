@@ -37,7 +37,9 @@ def used(settings: Settings, moments: list[Moment] | None) -> dict[str, bool]:
         ((), [0.0] * 12, False),
         ((), [0.0] * 11 + [0.02], True),  # 0.17 % in the mean
         ((), [0.0] * 9, True),  # too few to tell
-        ((), [0.0] * 11 + [0.5], True),  # something is hidden
+        ((), [0.0] * 11 + [0.5], False),  # the frame that hides much says nothing about poses
+        ((), [0.0] * 9 + [0.5] * 3, True),  # too few whole ones to tell
+        ((), [0.0] * 9 + [0.02] * 2 + [0.5], True),  # 0.36 % in the mean of the whole ones
         (("plan=full",), [0.0] * 12, True),
         (("variant=D",), [0.0] * 12, True),
         (("optim.refine_pose=false", "optim.learn_skinning=false"), [0.02] * 12, False),

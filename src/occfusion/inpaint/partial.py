@@ -23,6 +23,9 @@ Mask = NDArray[np.bool_]
 SOLID = 0.65
 """Coarse occupancy from which a pixel that is not seen counts as the hidden person (the authors' code)."""
 
+KNOWN = 0.5
+"""Share of a pixel's Gaussians that other frames show, from which on it needs no reference."""
+
 
 @dataclass(frozen=True)
 class Partial:
@@ -48,6 +51,11 @@ class Partial:
     def region(self) -> Mask:
         """The paper's R = (1 - M) A: pixels of the person that are not seen, bool `[H, W]`."""
         return ~self.observation.visible & (self.alpha > SOLID)
+
+    @property
+    def unseen(self) -> Mask:
+        """Where R shows what no frame of the video does: what was seen makes up less than half, bool `[H, W]`."""
+        return self.region & (self.seen < KNOWN * self.alpha)
 
 
 class Inpainter(ABC):

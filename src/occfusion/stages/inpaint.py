@@ -32,6 +32,7 @@ class InpaintStage(FramewiseStage):
         folder: where pictures, regions and the manifest go.
         identity: what the pictures depend on besides the inpainter: hashes of data and avatar.
         backend: rasteriser backend.
+        gen_pixels: where the pictures count: `unseen` or `hidden`; see `RefineSettings`.
 
     Attributes:
         accumulated: what the video shows of the avatar; needed as soon as a frame is inpainted.
@@ -47,8 +48,10 @@ class InpaintStage(FramewiseStage):
         folder: Path,
         identity: dict[str, Any],
         backend: str,
+        gen_pixels: str,
     ) -> None:
-        super().__init__(folder, {**identity, **inpainter.describe()})
+        super().__init__(folder, {**identity, "gen_pixels": gen_pixels, **inpainter.describe()})
+        self._gen_pixels = gen_pixels
         # wrapped in tuples so that neither is part of this module's state
         self._inpainter, self._avatar = (inpainter,), (avatar,)
         self.moments = moments
@@ -75,14 +78,16 @@ class InpaintStage(FramewiseStage):
         assert self.accumulated is not None  # set by whoever starts the stage, once it is known to be needed
         observation = moment.observation(frame, avatar.body)
         partial = take_partial(avatar, self.accumulated, frame, observation, self.backend)
-        picture, region = checked_picture(self._inpainter[0], partial), partial.region
+        picture, painted = checked_picture(self._inpainter[0], partial), partial.region
+        region = partial.unseen if self._gen_pixels == "unseen" else painted
         (self.folder / REGIONS).mkdir(parents=True, exist_ok=True)
         write_png(region_path_of(self.folder, frame.index), np.where(region, 255, 0).astype(np.uint8))
         write_png(picture_path(self.folder, frame.index), np.round(255.0 * picture).astype(np.uint8))
         record = {
+            "painted_pixels": int(painted.sum()),
             "region_pixels": int(region.sum()),
-            "moved": round(float(np.abs(picture - partial.coarse)[region].mean()), 4)
-            if region.any()
+            "moved": round(float(np.abs(picture - partial.coarse)[painted].mean()), 4)
+            if painted.any()
             else 0.0,
         }
         self.records[f"{frame.index:06d}"] = record

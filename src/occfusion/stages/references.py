@@ -16,7 +16,7 @@ from occfusion.geometry.boxes import crop
 from occfusion.types import Box, Frame
 
 REGIONS = "regions"
-"""Folder beside the pictures: where each was painted."""
+"""Folder beside the pictures: where each of them counts."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Reference:
 
     Attributes:
         rgb: the complete person over black, `[h, w, 3]`, 0..1.
-        region: the paper's R: pixels that were painted, bool `[h, w]`.
+        region: pixels that it is a reference for: the paper's R or what of it no frame shows, bool `[h, w]`.
     """
 
     rgb: Tensor
@@ -79,5 +79,5 @@ def picture_path(folder: Path, frame: int) -> Path:
 
 
 def region_path_of(folder: Path, frame: int) -> Path:
-    """Returns where the region that was painted in it lies."""
+    """Returns where the region lies that it counts in."""
     return folder / REGIONS / f"{frame:06d}.png"

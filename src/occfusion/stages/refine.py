@@ -55,8 +55,9 @@ class RefineStage(AvatarStage):
         """Returns the terms of paper §4.3: L1 on M, L2 of the occupancy, L1 on R, and the perceptual one."""
         settings, target = self.settings, crop_frame(frame, box)
         reference = self.references.get(frame, box)
-        wanted = target.rgb if reference is None else reference.rgb
-        known = target.visible_mask if reference is None else target.visible_mask | reference.region
+        wanted, looked_at = target.rgb, target.visible_mask
+        if reference is not None and settings.lpips_pixels == "all":
+            wanted, looked_at = reference.rgb, target.visible_mask | reference.region
         rgb = rendering.rgb
         terms: dict[str, Tensor] = {}
         if settings.lambda_rgb:
@@ -65,11 +66,13 @@ class RefineStage(AvatarStage):
             terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rgb.dtype))
         if settings.lambda_gen and reference is not None:
             terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)
-        shown = rgb * known[..., None]  # what is neither seen nor painted is black in both pictures
+        shown, wanted = (
+            picture * looked_at[..., None] for picture in (rgb, wanted)
+        )  # black elsewhere in both
         if settings.lambda_ssim:
-            terms["ssim"] = losses.ssim_loss(shown, wanted, known)
+            terms["ssim"] = losses.ssim_loss(shown, wanted, looked_at)
         if (perceptual := self.perceptual_due()) is not None:
-            window = self.perceptual_box(known)
+            window = self.perceptual_box(looked_at)
             terms["lpips"] = perceptual(crop(shown, window), crop(wanted, window))
         return terms
 
