@@ -62,6 +62,8 @@ def test_dataset_chooses_its_body_and_the_command_line_wins() -> None:
         ("optim.sds.reduction=max", "optim.sds.reduction"),
         ("optim.sds.schedule=cosine", "optim.sds.schedule"),
         ("optim.sds.weighting=snr", "optim.sds.weighting"),
+        ("refine.gen_pixels=visible", "refine.gen_pixels"),
+        ("refine.lpips_pixels=seen", "refine.lpips_pixels"),
         ("trainer.max_steps=0", "trainer.max_steps"),
         ("trainer.checkpoint_every=0", "trainer.checkpoint_every"),
         ("seed=-1", "seed"),

@@ -72,6 +72,23 @@ def test_a_run_leaves_references_and_a_refined_avatar(train: Train, green: Green
     assert not decisions(folder)["loss term lpips in refine"]["used"]
 
 
+def test_references_may_count_only_where_nothing_is_known(
+    train: Train, green: Green, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the scene has few pixels for each Gaussian: any is enough here
+    monkeypatch.setattr("occfusion.inpaint.accumulation.ENOUGH", 0.01)
+    folder, _ = train(*SHORT, "refine.source=prior", "refine.gen_pixels=unseen")
+    records = json.loads((folder / "inpainted" / "manifest.json").read_text())["frames"]
+    assert all(record["region_pixels"] <= record["painted_pixels"] for record in records.values())
+    painted, counting = (
+        sum(record[f"{name}_pixels"] for record in records.values()) for name in ("painted", "region")
+    )
+    assert 0 < counting < painted
+    name = next(name for name, record in records.items() if record["painted_pixels"])
+    picture = read_rgb(folder / "inpainted" / f"{name}.png")
+    assert (picture == (0, 255, 0)).all(axis=2).sum() >= records[name]["painted_pixels"]
+
+
 def test_references_are_made_once(train: Train, green: Green) -> None:
     folder, _ = train(*SHORT, "refine.source=prior")
     asked = green.asked

@@ -1,0 +1,106 @@
+"""The loss terms of the refinement: which pixels each of them looks at."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from made_up_partial import made_up_partial
+from occfusion.files.atomic import write_png
+from occfusion.human import embedded_body
+from occfusion.human.avatar import Avatar
+from occfusion.inpaint.partial import KNOWN
+from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
+from occfusion.stages.refine import RefineStage
+from occfusion.stages.settings import RefineSettings
+from occfusion.types import Frame, Pose, Rendering
+
+SIZE = 32
+BOX = (0, 0, SIZE, SIZE)
+SEEN, PAINTED, ELSEWHERE = (
+    (slice(4, 28), slice(4, 14)),
+    (slice(4, 28), slice(14, 24)),
+    (slice(4, 28), slice(24, 30)),
+)
+
+
+def mask_of(place: tuple[slice, slice]) -> Tensor:
+    mask = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+    mask[place] = True
+    return mask
+
+
+@pytest.fixture
+def frame() -> Frame:
+    """A red person, seen in `SEEN`; complete with `PAINTED`."""
+    seen = mask_of(SEEN)
+    rgb = seen[..., None] * torch.tensor([0.8, 0.1, 0.1])
+    camera = made_up_partial(SIZE).observation.camera
+    pose = Pose(torch.zeros(10), torch.zeros(3), torch.zeros(69), torch.zeros(3))
+    return Frame(7, 0, "frame", rgb, seen, None, seen | mask_of(PAINTED), None, camera, pose)
+
+
+@pytest.fixture
+def references(tmp_path: Path) -> References:
+    """The same person, painted green where it is not seen."""
+    region = mask_of(PAINTED).numpy()
+    picture = np.zeros((SIZE, SIZE, 3), np.uint8)
+    picture[SEEN], picture[PAINTED] = (204, 26, 26), (0, 255, 0)
+    (tmp_path / REGIONS).mkdir()
+    write_png(picture_path(tmp_path, 7), picture)
+    write_png(region_path_of(tmp_path, 7), np.where(region, 255, 0).astype(np.uint8))
+    return References(tmp_path, frozenset({7}))
+
+
+def gradients(frame: Frame, references: References, lpips_pixels: str) -> dict[str, Tensor]:
+    """Returns where each term's gradient by the rendered colours is not zero."""
+    settings = RefineSettings(lpips_pixels=lpips_pixels, lambda_lpips=0.0, densify=False)
+    stage = RefineStage(
+        Avatar(embedded_body()), settings, references, perceptual=None, densifier=None, backend="torch", seed=0,
+        steps_before=0,
+    )  # fmt: skip
+    rgb = torch.rand(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    alpha = torch.full((SIZE, SIZE), 0.5)
+    rendering = Rendering(rgb, alpha, torch.zeros(SIZE, SIZE), torch.zeros(0, 2))
+    found = {}
+    for name, term in stage.terms(frame, rendering, BOX).items():
+        if term.requires_grad:
+            found[name] = torch.autograd.grad(term, rgb, retain_graph=True)[0].abs().sum(dim=2) > 0
+    return found
+
+
+def test_each_term_looks_at_its_own_pixels(frame: Frame, references: References) -> None:
+    found = gradients(frame, references, "visible")
+    seen, painted = mask_of(SEEN), mask_of(PAINTED)
+    assert torch.equal(found["rgb"], seen)
+    assert torch.equal(found["gen"], painted)
+    assert found["ssim"][seen].all() and not found["ssim"][~seen].any()
+
+
+def test_with_all_pixels_ssim_looks_at_the_painted_ones_too(frame: Frame, references: References) -> None:
+    looked_at = gradients(frame, references, "all")["ssim"]
+    assert looked_at[mask_of(SEEN) | mask_of(PAINTED)].all()
+    assert not looked_at[mask_of(ELSEWHERE)].any()
+
+
+def test_a_frame_without_a_reference_has_no_generated_term(frame: Frame, references: References) -> None:
+    other = dataclasses.replace(frame, index=8)
+    found = gradients(other, references, "all")
+    assert "gen" not in found
+    assert not found["ssim"][~mask_of(SEEN)].any()
+
+
+def test_unseen_is_what_the_video_shows_little_of() -> None:
+    partial = made_up_partial()
+    half = np.zeros_like(partial.alpha)
+    half[: len(half) // 2] = 1.0
+    partial = dataclasses.replace(partial, seen=half * partial.alpha)
+    assert partial.region[: len(half) // 2].any() and partial.region[len(half) // 2 :].any()
+    assert (partial.unseen == (partial.region & (half == 0))).all()
+    at_the_limit = dataclasses.replace(partial, seen=np.float32(KNOWN) * partial.alpha)
+    assert not at_the_limit.unseen.any()
