@@ -19,9 +19,9 @@ references it still trains on, with more Gaussians (docs/leaving_out.md has what
 MOSTLY_HIDDEN = 0.9
 """Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on."""
 
-FITTING = 5e-4
-"""Of the body's core: where less lies outside the masks of whole people, poses need no mending. Embedded scenes with
-exact poses have 0, those with an estimator's errors and ragged masks 2.6e-3."""
+FITTING = 1e-3
+"""Of the body: where less lies outside the masks of whole people, poses need no mending. Embedded scenes with exact
+poses have 4e-5 at most, those with an estimator's errors and ragged masks 2.6e-2 at least (docs/leaving_out.md)."""
 FRAMES_TO_JUDGE = 10
 """Fewer frames of a whole person say too little about how well poses fit."""
 
@@ -88,7 +88,7 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
     """Returns the decisions on pose refinement and the skinning network, in this order.
 
     They mend poses. The whole system leaves them out where poses fit: the masks of the frames that show a whole person
-    then show the core of the body wherever the body model has it (docs/leaving_out.md has the figures).
+    then show the person wherever the body model has it (docs/leaving_out.md has the figures).
     """
     optim = settings.optim
     decisions = [
@@ -98,8 +98,8 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
     whole = [moment for moment in moments or () if not moment.evidence.occluded]
     if not _may_leave_out(settings) or len(whole) < FRAMES_TO_JUDGE:
         return decisions
-    misfit = float(np.mean([moment.evidence.hidden_share for moment in whole]))
-    shown = f"{misfit:.3%} of the body's core lies outside the masks of {len(whole)} frames that show a whole person"
+    misfit = float(np.median([moment.evidence.outside_share for moment in whole]))
+    shown = f"{misfit:.3%} of the body lies outside the mask (median of {len(whole)} frames that show a whole person)"
     shown += f"; {FITTING:.2%} would need mending"
     return [replace(d, used=d.used and misfit >= FITTING, reason=f"{d.reason}; {shown}") for d in decisions]
 

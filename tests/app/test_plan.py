@@ -21,7 +21,11 @@ def frames(*shares: float) -> list[Moment]:
     keypoints = np.zeros((18, 3))
     return [
         Moment(
-            k, np.zeros((2, 3)), keypoints, motion, Evidence(nothing, nothing, share, share > HIDDEN_SHARE)
+            k,
+            np.zeros((2, 3)),
+            keypoints,
+            motion,
+            Evidence(nothing, nothing, share, share > HIDDEN_SHARE, share),
         )
         for k, share in enumerate(shares)
     ]
@@ -35,11 +39,12 @@ def used(settings: Settings, moments: list[Moment] | None) -> dict[str, bool]:
     ("overrides", "shares", "mended"),
     [
         ((), [0.0] * 12, False),
-        ((), [0.0] * 11 + [0.02], True),  # 0.17 % in the mean
+        ((), [0.0] * 5 + [0.02] * 7, True),
+        ((), [0.0] * 8 + [0.02] * 4, False),  # some hide a little
         ((), [0.0] * 9, True),  # too few to tell
         ((), [0.0] * 11 + [0.5], False),  # the frame that hides much says nothing about poses
         ((), [0.0] * 9 + [0.5] * 3, True),  # too few whole ones to tell
-        ((), [0.0] * 9 + [0.02] * 2 + [0.5], True),  # 0.36 % in the mean of the whole ones
+        ((), [0.0] * 5 + [0.02] * 6 + [0.5], True),
         (("plan=full",), [0.0] * 12, True),
         (("variant=D",), [0.0] * 12, True),
         (("optim.refine_pose=false", "optim.learn_skinning=false"), [0.02] * 12, False),

@@ -55,3 +55,12 @@ def test_body_cut_by_the_edge_of_the_picture_is_not_hidden_there() -> None:
     body[30:, 40:60] = True
     assert gather_evidence([body], [body])[0].hidden_share == 0.0
     assert not gather_evidence([body], [body])[0].occluded
+
+
+def test_a_pose_that_is_a_little_off_shows_outside_the_mask_and_not_in_the_core() -> None:
+    body = person()
+    off = np.roll(body, 1, axis=1)
+    (fits,), (misses,) = gather_evidence([body], [body]), gather_evidence([off], [body])
+    assert fits.outside_share == 0.0
+    assert misses.hidden_share == 0.0
+    assert misses.outside_share == (off & ~body).sum() / body.sum() > 0.005

@@ -35,12 +35,15 @@ class Evidence:
         background: pixels taken for background, bool `[H, W]`.
         hidden_share: share of the body's core that is hidden, 0..1.
         occluded: whether that is more than errors of pose and mask explain.
+        outside_share: share of the whole body that does not show the person, 0..1: more than its core tells of
+            small errors of the pose.
     """
 
     hidden: Mask
     background: Mask
     hidden_share: float
     occluded: bool
+    outside_share: float
 
 
 def person_size(body: Mask) -> float:
@@ -65,7 +68,8 @@ def gather_evidence(bodies: Sequence[Mask], visible: Sequence[Mask]) -> list[Evi
         size = int(core.sum())
         share = float(hidden.sum()) / size if size else 0.0
         unknown = _unknown(hidden, body, seen)
-        found.append(Evidence(hidden, ~seen & ~unknown, share, share > HIDDEN_SHARE))
+        outside = float((body & ~seen).sum()) / max(1, int(body.sum()))
+        found.append(Evidence(hidden, ~seen & ~unknown, share, share > HIDDEN_SHARE, outside))
     return found
 
 
