@@ -82,7 +82,6 @@ class Tape:
     """What the backward pass needs from the forward pass."""
 
     splats: Array
-    ranks: Array
     packed: Array
     starts: Array
     entries: Array
@@ -92,6 +91,7 @@ class Tape:
     limits: Array
     background: Array
     kept: Array
+    blended: Array
 
 
 def _planes() -> Array:
@@ -155,18 +155,19 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     )  # fmt: skip
     order = sort_by_depth(splats, inputs.means, inputs.camera)
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
-    packed, ranks, starts, entries, slots = bin_splats(splats, order, x, y, across, down)
+    packed, starts, entries, slots = bin_splats(splats, order, x, y, across, down)
     lengths = np.diff(starts)
     # longest lists first, so that dealing the tiles out in turn gives each thread a like share
     tiles = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
     background = np.zeros(3, np.float32) if request.background is None else _array(request.background)
     limits = request.limits
     tape = Tape(
-        splats, ranks, packed, starts, entries, slots, tiles,
+        splats, packed, starts, entries, slots, tiles,
         grid=np.array([x, y, across]),
         limits=np.array([limits.alpha_max, limits.alpha_min, limits.stop], np.float32),
         background=background,
         kept=np.empty((len(tiles), 2, TILE_LANES), np.float32),
+        blended=np.empty(len(entries), np.uint32),
     )  # fmt: skip
     if request.background is None:
         rgb = torch.zeros(height, width, 3)
@@ -175,7 +176,7 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     alpha, depth = torch.zeros(height, width), torch.zeros(height, width)
     run_parts(
         blend_part, packed, starts, entries, tiles, _planes(), tape.grid, tape.limits,
-        background, rgb.numpy(), alpha.numpy(), depth.numpy(), tape.kept,
+        background, rgb.numpy(), alpha.numpy(), depth.numpy(), tape.kept, tape.blended,
     )  # fmt: skip
     return tape, rgb, alpha, depth, radii
 
@@ -201,7 +202,7 @@ class _Rasterize(torch.autograd.Function):
         pair_slots = np.empty((len(tape.entries), GRADIENT_SIZE), np.float32)
         run_parts(
             blend_backward_part, tape.packed, tape.starts, tape.entries, tape.tiles, _planes(),
-            tape.grid, tape.limits, tape.background, alpha.numpy(), depth.numpy(), tape.kept,
+            tape.grid, tape.limits, tape.background, alpha.numpy(), depth.numpy(), tape.kept, tape.blended,
             _array(grad_rgb, 1, 3), _array(grad_alpha, 1), _array(grad_depth, 1), pair_slots,
         )  # fmt: skip
         gradients = _gaussian_gradients(ctx.needs_input_grad, inputs, tape, pair_slots)
@@ -231,7 +232,7 @@ def _gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Arr
     run_parts(
         project_backward_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances,
         inputs.opacities, inputs.colors, inputs.camera, inputs.options, inputs.degree,
-        tape.ranks, tape.splats, tape.slots, pair_slots,
+        tape.splats, tape.slots, pair_slots,
         means, quats, scales, covariances, opacities, colors, offsets, camera,
     )  # fmt: skip
     color = results[5]

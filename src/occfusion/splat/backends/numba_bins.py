@@ -97,22 +97,24 @@ def sort_by_bits(splats: Any) -> Any:
 
 
 @inline
-def strip_span(splat: Any, top: float, bottom: float) -> Any:
+def strip_span(
+    half: float, turn: float, reach: float, m: float, l2: float, inverse_l1: float, top: float, bottom: float
+) -> tuple[float, float]:
     """Returns the x range, relative to the centre, that the seen ellipse has between two values of dy.
 
     Exact: each end lies at the ellipse's extreme point or, when that is outside the strip, at the
-    strip's nearer edge. The range is empty (first > second) when the strip misses the ellipse.
+    strip's nearer edge. The range is empty (first > second) when the strip misses the ellipse. The first
+    arguments are columns of a splat's row. No branch, so that a loop over splats can be vector code.
     """
-    half = splat[HALF_HEIGHT]
     low, high = max(top, -half), min(bottom, half)
-    if low > high:
-        return np.float32(1.0), np.float32(-1.0)
-    right = min(max(splat[TURN], low), high)
-    left = min(max(-splat[TURN], low), high)
-    v_right, v_left = splat[L2] * right, splat[L2] * left
-    u_right = math.sqrt(max(splat[REACH] - v_right * v_right, np.float32(0)))
-    u_left = math.sqrt(max(splat[REACH] - v_left * v_left, np.float32(0)))
-    return (-u_left - splat[M] * left) * splat[INVERSE_L1], (u_right - splat[M] * right) * splat[INVERSE_L1]
+    right = min(max(turn, low), high)
+    left = min(max(-turn, low), high)
+    v_right, v_left = l2 * right, l2 * left
+    u_right = math.sqrt(max(reach - v_right * v_right, np.float32(0)))
+    u_left = math.sqrt(max(reach - v_left * v_left, np.float32(0)))
+    start, end = (-u_left - m * left) * inverse_l1, (u_right - m * right) * inverse_l1
+    misses = low > high
+    return np.float32(1) if misses else start, np.float32(-1) if misses else end
 
 
 @inline
@@ -130,24 +132,19 @@ def first_and_last(low: float, high: float, size: int, most: int) -> tuple[int, 
 
 @kernel
 def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) -> Any:
-    """Returns packed splats `[V, 16]` in depth order, the rank of each Gaussian and the tile lists.
+    """Returns packed splats `[V, 16]` in depth order, the tile lists, and the gradient slots of each Gaussian.
 
-    Ranks: `[N]`, -1 for Gaussians that are not visible.
-    The lists: for each tile the start of its list, `[tiles + 1]`; the list entries, splat rank and
-    gradient slot, `[pairs, 2]`, front to back; and the first slot of each rank, `[V + 1]`. The slots
-    of a splat follow one another, so that its gradient is a sum over a run.
+    The lists: for each tile the start of its list, `[tiles + 1]`, and the list entries, splat rank and
+    gradient slot, `[pairs, 2]`, front to back. The slots of a Gaussian follow one another, from its number in
+    `[N + 1]`, so that its gradient is the sum over a run, and the runs are in the order of the Gaussians.
     """
     visible = order.shape[0]
     packed = np.empty((visible, SPLAT_SIZE), np.float32)
-    ranks = np.empty(splats.shape[0], np.int32)
-    for i in range(splats.shape[0]):
-        ranks[i] = -1
     for rank in range(visible):
-        ranks[order[rank]] = rank
         for k in range(SPLAT_SIZE):
             packed[rank, k] = splats[order[rank], k]
-    slots = np.zeros(visible + 1, np.int32)
-    pairs = np.empty((max(1024, 4 * visible), 2), np.int32)  # tile and rank of each slot
+    by_rank = np.zeros(visible + 1, np.int32)  # the first pair of each
+    pairs = np.empty((max(1024, 4 * visible), 2), np.int32)  # tile and rank
     slot = 0
     for rank in range(visible):
         splat = packed[rank]
@@ -157,7 +154,10 @@ def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) 
         first_row, last_row = first_and_last(centre_y - half, centre_y + half, TILE_HEIGHT, down - 1)
         for row in range(first_row, last_row + 1):
             top = np.float32(row * TILE_HEIGHT) - centre_y
-            left, right = strip_span(splat, top, top + np.float32(TILE_HEIGHT - 1))
+            left, right = strip_span(
+                half, splat[TURN], splat[REACH], splat[M], splat[L2], splat[INVERSE_L1],
+                top, top + np.float32(TILE_HEIGHT - 1),
+            )  # fmt: skip
             if left > right:
                 continue
             first, last = first_and_last(centre_x + left, centre_x + right, TILE_WIDTH, across - 1)
@@ -171,14 +171,22 @@ def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) 
                 pairs[slot, 0] = row * across + column
                 pairs[slot, 1] = rank
                 slot += 1
-        slots[rank + 1] = slot
+        by_rank[rank + 1] = slot
     starts, entries = group_by_tile(pairs, slot, across * down)
-    return packed, ranks, starts, entries, slots
+    slots = np.zeros(splats.shape[0] + 1, np.int32)
+    for rank in range(visible):
+        slots[order[rank] + 1] = by_rank[rank + 1] - by_rank[rank]
+    for i in range(splats.shape[0]):
+        slots[i + 1] += slots[i]
+    for place in range(slot):
+        rank = entries[place, 0]
+        entries[place, 1] += slots[order[rank]] - by_rank[rank]
+    return packed, starts, entries, slots
 
 
 @inline
 def group_by_tile(pairs: Any, count: int, tiles: int) -> Any:
-    """Returns the start of each tile's list, `[tiles + 1]`, and the lists of (rank, slot), `[pairs, 2]`."""
+    """Returns the start of each tile's list, `[tiles + 1]`, and the lists of (rank, pair), `[pairs, 2]`."""
     starts, places = np.zeros(tiles + 1, np.int32), np.empty(tiles + 1, np.int32)
     for slot in range(count):
         starts[pairs[slot, 0] + 1] += 1

@@ -6,19 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.splat.backends.numba_blend import (
-    BLOCK_COLUMNS,
-    HALF,
-    ONE,
-    ZERO,
-    block_span,
-    lane_of,
-    row_span,
-    shifted_exp,
-    tile_centre,
-)
+from occfusion.splat.backends.numba_blend import ONE, ZERO, place_of, shifted_exp
+from occfusion.splat.backends.numba_blocks import GROUP, HALF, fetch_group, lowest_block, tile_centre
 from occfusion.splat.backends.numba_compile import inline, kernel
 from occfusion.splat.backends.numba_layout import (
+    BLOCK_SIZE,
     BLUE,
     COLUMN,
     DEPTH,
@@ -34,7 +26,6 @@ from occfusion.splat.backends.numba_layout import (
     G_VY,
     GRADIENT_SIZE,
     GREEN,
-    HALF_HEIGHT,
     L1,
     L2,
     LANES,
@@ -46,14 +37,12 @@ from occfusion.splat.backends.numba_layout import (
     P_FAR,
     P_GREEN,
     P_RED,
-    PLANES,
     RED,
     ROW,
-    ROW_LANES,
+    SPLAT_SIZE,
     THROUGH,
     TILE_BLOCKS,
     TILE_HEIGHT,
-    TILE_LANES,
     TILE_WIDTH,
     M,
 )
@@ -62,7 +51,7 @@ from occfusion.splat.backends.numba_layout import (
 @kernel
 def blend_backward_part(
     packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, grid: Any, limits: Any,
-    background: Any, alpha: Any, depth: Any, kept: Any,
+    background: Any, alpha: Any, depth: Any, kept: Any, blended: Any,
     grad_rgb: Any, grad_alpha: Any, grad_depth: Any, slots: Any, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Writes to `slots` `[pairs, 10]` the gradient of every (splat, tile) pair of its share of the tiles.
@@ -72,71 +61,79 @@ def blend_backward_part(
     """
     alpha_max, alpha_min = limits[0], limits[1]
     p = all_planes[part]
-    block_last = np.empty(TILE_BLOCKS, np.float32)
+    group = np.empty((GROUP, SPLAT_SIZE), np.float32)
+    sums = np.empty(GRADIENT_SIZE * LANES, np.float32)
     for number in range(part, tiles.shape[0], parts):
         tile = tiles[number]
         tile_x, tile_y = tile % grid[2] * TILE_WIDTH, tile // grid[2] * TILE_HEIGHT
         left, top = np.float32(grid[0] + tile_x), np.float32(grid[1] + tile_y)
-        for i in range(TILE_LANES):
-            p[THROUGH + i] = kept[number, 0, i]
-            p[LATEST + i] = kept[number, 1, i]
+        for block in range(TILE_BLOCKS):
+            q = p[block * BLOCK_SIZE :]
+            for i in range(LANES):
+                q[THROUGH + i] = kept[number, 0, block * LANES + i]
+                q[LATEST + i] = kept[number, 1, block * LANES + i]
         load_gradients(grad_rgb, grad_alpha, grad_depth, alpha, depth, background, tile_x, tile_y, p)
-        final_place = last_needed(p, block_last)
+        wanted = blocks_with_gradient(p)
         begin, end = starts[tile], starts[tile + 1]
-        for place in range(end - 1, begin - 1, -1):
-            slot = slots[entries[place, 1]]
-            for k in range(GRADIENT_SIZE):
-                slot[k] = ZERO
-            rank = np.float32(place - begin)
-            if rank > final_place:
-                continue
-            splat = packed[entries[place, 0]]
-            centre_x, centre_y = tile_centre(splat, left, top)
-            first_row, last_row = row_span(centre_y, splat[HALF_HEIGHT])
-            l1, m, l2, log_opacity = splat[L1], splat[M], splat[L2], splat[LOG_OPACITY]
-            r, g, b, z = splat[RED], splat[GREEN], splat[BLUE], splat[DEPTH]
-            u0, v0 = -(l1 * centre_x + m * centre_y), -l2 * centre_y
-            sum_u = sum_v = sum_ux = sum_uy = sum_vy = sum_power = ZERO
-            sum_r = sum_g = sum_b = sum_z = ZERO
-            for row in range(first_row, last_row + 1):
-                first, final = block_span(splat, centre_x, centre_y, row)
-                base = row * BLOCK_COLUMNS
-                while first <= final and block_last[base + first] < rank:
-                    first += 1
-                while first <= final and block_last[base + final] < rank:
-                    final -= 1
-                q = p[row * ROW_LANES + first * LANES :]
-                for i in range((final - first + 1) * LANES):
-                    dx, dy = q[COLUMN + i] - centre_x, q[ROW + i] - centre_y
-                    u = u0 + l1 * q[COLUMN + i] + m * q[ROW + i]
-                    v = v0 + l2 * q[ROW + i]
-                    full = shifted_exp(log_opacity - HALF * (u * u + v * v))
-                    a = full if full < alpha_max else alpha_max
-                    a = a if a >= alpha_min else ZERO
-                    a = a if q[LATEST + i] >= rank else ZERO
-                    inverse = ONE / (ONE - a)
-                    t = q[THROUGH + i] * inverse
-                    q[THROUGH + i] = t
-                    w = a * t
-                    g_r, g_g, g_b, g_z = q[P_RED + i], q[P_GREEN + i], q[P_BLUE + i], q[P_FAR + i]
-                    s = g_r * r + g_g * g + g_b * b + g_z * z + q[P_COVERED + i]
-                    power = w * s - a * (q[P_BEHIND + i] * inverse)
-                    power = power if full < alpha_max else ZERO
-                    q[P_BEHIND + i] += w * s
-                    hu, hv = power * u, power * v
-                    sum_power += power
-                    sum_u += hu
-                    sum_v += hv
-                    sum_ux += hu * dx
-                    sum_uy += hu * dy
-                    sum_vy += hv * dy
-                    sum_r += w * g_r
-                    sum_g += w * g_g
-                    sum_b += w * g_b
-                    sum_z += w * g_z
-            slot[G_U], slot[G_V], slot[G_UX], slot[G_UY] = sum_u, sum_v, sum_ux, sum_uy
-            slot[G_VY], slot[G_POWER] = sum_vy, sum_power
-            slot[G_RED], slot[G_GREEN], slot[G_BLUE], slot[G_DEPTH] = sum_r, sum_g, sum_b, sum_z
+        for until in range(end, begin, -GROUP):
+            first = max(begin, until - GROUP)
+            fetch_group(packed, entries, first, until - first, group)
+            for place in range(until - 1, first - 1, -1):
+                slot = slots[entries[place, 1]]
+                blocks = np.int64(blended[place]) & wanted
+                if blocks == 0:
+                    for j in range(GRADIENT_SIZE):
+                        slot[j] = ZERO
+                    continue
+                splat = group[place - first]
+                centre_x, centre_y = tile_centre(splat, left, top)
+                l1, m, l2, log_opacity = splat[L1], splat[M], splat[L2], splat[LOG_OPACITY]
+                r, g, b, z = splat[RED], splat[GREEN], splat[BLUE], splat[DEPTH]
+                rank = np.float32(place - begin)
+                for i in range(GRADIENT_SIZE * LANES):
+                    sums[i] = ZERO
+                while blocks != 0:
+                    block, blocks = lowest_block(blocks)
+                    q = p[block * BLOCK_SIZE :]
+                    for i in range(LANES):
+                        dx, dy = q[COLUMN + i] - centre_x, q[ROW + i] - centre_y
+                        u = l1 * dx + m * dy
+                        v = l2 * dy
+                        full = shifted_exp(log_opacity - HALF * (u * u + v * v))
+                        a = full if full < alpha_max else alpha_max
+                        a = a if a >= alpha_min else ZERO
+                        a = a if q[LATEST + i] >= rank else ZERO
+                        inverse = ONE / (ONE - a)
+                        t = q[THROUGH + i] * inverse
+                        q[THROUGH + i] = t
+                        w = a * t
+                        g_r, g_g, g_b, g_z = q[P_RED + i], q[P_GREEN + i], q[P_BLUE + i], q[P_FAR + i]
+                        s = g_r * r + g_g * g + g_b * b + g_z * z + q[P_COVERED + i]
+                        power = w * s - a * (q[P_BEHIND + i] * inverse)
+                        power = power if full < alpha_max else ZERO
+                        q[P_BEHIND + i] += w * s
+                        hu, hv = power * u, power * v
+                        # lane by lane in memory: a sum over the lanes of every block would cost more
+                        sums[G_U * LANES + i] += hu
+                        sums[G_V * LANES + i] += hv
+                        sums[G_UX * LANES + i] += hu * dx
+                        sums[G_UY * LANES + i] += hu * dy
+                        sums[G_VY * LANES + i] += hv * dy
+                        sums[G_POWER * LANES + i] += power
+                        sums[G_RED * LANES + i] += w * g_r
+                        sums[G_GREEN * LANES + i] += w * g_g
+                        sums[G_BLUE * LANES + i] += w * g_b
+                        sums[G_DEPTH * LANES + i] += w * g_z
+                for j in range(GRADIENT_SIZE):
+                    slot[j] = sum_of_lanes(sums[j * LANES :])
+
+
+@inline
+def sum_of_lanes(x: Any) -> Any:
+    """Returns the sum of the first 16 numbers, two by two: half the rounding and half the waiting of one by one."""
+    even = ((x[0] + x[8]) + (x[4] + x[12])) + ((x[2] + x[10]) + (x[6] + x[14]))
+    odd = ((x[1] + x[9]) + (x[5] + x[13])) + ((x[3] + x[11]) + (x[7] + x[15]))
+    return even + odd
 
 
 @inline
@@ -150,17 +147,19 @@ def load_gradients(
     alpha hides the background.
     """
     height, width = alpha.shape
-    for i in range(P_RED, PLANES * TILE_LANES):
-        p[i] = ZERO
+    for block in range(TILE_BLOCKS):
+        q = p[block * BLOCK_SIZE :]
+        for i in range(P_RED, BLOCK_SIZE):
+            q[i] = ZERO
     for y in range(min(TILE_HEIGHT, height - tile_y)):
         for x in range(min(TILE_WIDTH, width - tile_x)):
-            i = lane_of(x, y)
+            i = place_of(x, y)
             py, px = tile_y + y, tile_x + x
             covered = ZERO
             if grad_rgb.shape[0] > 0:
                 for channel in range(3):
                     grad = grad_rgb[py, px, channel]
-                    p[P_RED + channel * TILE_LANES + i] = grad
+                    p[P_RED + channel * LANES + i] = grad
                     covered -= grad * background[channel]
             if grad_alpha.shape[0] > 0:
                 covered += grad_alpha[py, px]
@@ -172,16 +171,13 @@ def load_gradients(
 
 
 @inline
-def last_needed(p: Any, block_last: Any) -> Any:
-    """Returns the last list place that a lane with a gradient saw; writes it for each block (-1: none)."""
-    most = -ONE
+def blocks_with_gradient(p: Any) -> int:
+    """Returns the blocks with a pixel that has a gradient."""
+    blocks = 0
     for block in range(TILE_BLOCKS):
-        needed = -ONE
-        for i in range(block * LANES, (block + 1) * LANES):
-            nothing = p[P_RED + i] == ZERO and p[P_GREEN + i] == ZERO and p[P_BLUE + i] == ZERO
-            nothing = nothing and p[P_FAR + i] == ZERO and p[P_COVERED + i] == ZERO
-            if not nothing and p[LATEST + i] > needed:
-                needed = p[LATEST + i]
-        block_last[block] = needed
-        most = max(most, needed)
-    return most
+        q = p[block * BLOCK_SIZE :]
+        count = 0
+        for i in range(P_RED, P_COVERED + LANES):
+            count += q[i] != ZERO
+        blocks |= (1 if count > 0 else 0) << block
+    return blocks

@@ -1,8 +1,7 @@
 """The arrays that the `numba` kernels share.
 
 A tile is `TILE_WIDTH` x `TILE_HEIGHT` pixels and is stored as blocks of 4 x 4 pixels, 16 lanes
-each: a splat touches few blocks in vain, every row of blocks is one run in memory, and a run of
-whole blocks is a whole number of vectors.
+each: a splat touches few blocks in vain, and a block is a whole number of vectors.
 
 A splat is one row of 16 numbers, one cache line, in order of depth.
 """
@@ -11,14 +10,16 @@ from __future__ import annotations
 
 import numpy as np
 
-BLOCK = 4
+BLOCK_BITS = 2
+BLOCK = 1 << BLOCK_BITS
 LANES = BLOCK * BLOCK
 TILE_WIDTH = 32
 TILE_HEIGHT = 16
-ROW_LANES = TILE_WIDTH * BLOCK
-"""Lanes in one row of blocks."""
-TILE_LANES = TILE_WIDTH * TILE_HEIGHT
-TILE_BLOCKS = TILE_LANES // LANES
+BLOCK_COLUMNS = TILE_WIDTH // BLOCK
+BLOCK_ROWS = TILE_HEIGHT // BLOCK
+TILE_BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
+"""As many as an unsigned 32-bit number has bits: a set of blocks is one."""
+TILE_LANES = TILE_BLOCKS * LANES
 
 # Columns of a splat's row. The centre is a whole number of pixels plus a fraction: a float32 at
 # 2000 px would be 1e-4 px off.
@@ -36,12 +37,13 @@ SPLAT_SIZE = 16
 G_U, G_V, G_UX, G_UY, G_VY, G_POWER, G_RED, G_GREEN, G_BLUE, G_DEPTH = range(10)
 GRADIENT_SIZE = 10
 
-# The working values of a tile lie in one array, plane after plane of `TILE_LANES` lanes: planes at
-# fixed distances in one array can be seen not to overlap, so loops over lanes become vector code.
-COLUMN, ROW, THROUGH, LATEST = 0, TILE_LANES, 2 * TILE_LANES, 3 * TILE_LANES
-P_RED, P_GREEN, P_BLUE = 4 * TILE_LANES, 5 * TILE_LANES, 6 * TILE_LANES
-P_FAR, P_COVERED, P_BEHIND = 7 * TILE_LANES, 8 * TILE_LANES, 9 * TILE_LANES
-PLANES = 10
+# The working values of a tile lie in one array, block after block, and those of a block plane after plane of
+# `LANES` lanes: planes at fixed distances in one array can be seen not to overlap, so a loop over the lanes
+# becomes vector code, and a block is ten neighbouring cache lines.
+COLUMN, ROW, THROUGH, LATEST = 0, LANES, 2 * LANES, 3 * LANES
+P_RED, P_GREEN, P_BLUE = 4 * LANES, 5 * LANES, 6 * LANES
+P_FAR, P_COVERED, P_BEHIND = 7 * LANES, 8 * LANES, 9 * LANES
+BLOCK_SIZE = 10 * LANES
 
 EXP_SHIFT = 2.8
 EXP_RANGE = 5.6
@@ -49,11 +51,9 @@ EXP_RANGE = 5.6
 
 
 def new_planes() -> np.ndarray:
-    """Returns working planes for one tile, float32 `[PLANES * TILE_LANES]`, columns and rows filled in."""
-    lane = np.arange(TILE_LANES)
-    block, within = lane // LANES, lane % LANES
-    across = TILE_WIDTH // BLOCK
-    planes = np.zeros((PLANES, TILE_LANES), np.float32)
-    planes[COLUMN // TILE_LANES] = block % across * BLOCK + within % BLOCK
-    planes[ROW // TILE_LANES] = block // across * BLOCK + within // BLOCK
+    """Returns working planes for one tile, float32 `[TILE_BLOCKS * BLOCK_SIZE]`, columns and rows filled in."""
+    block, lane = np.arange(TILE_BLOCKS)[:, None], np.arange(LANES)
+    planes = np.zeros((TILE_BLOCKS, BLOCK_SIZE), np.float32)
+    planes[:, COLUMN : COLUMN + LANES] = block % BLOCK_COLUMNS * BLOCK + lane % BLOCK
+    planes[:, ROW : ROW + LANES] = block // BLOCK_COLUMNS * BLOCK + lane // BLOCK
     return planes.ravel()

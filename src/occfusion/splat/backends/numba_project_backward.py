@@ -56,18 +56,26 @@ def factor_gradient(
 
 
 @inline
-def sum_pairs(pair_slots: Any, slots: Any, rank: int, out: Any) -> bool:
-    """Writes the sum of a splat's gradients over tiles to `out`; returns whether it has any (hidden: no)."""
-    if rank < 0:
-        return False
-    for k in range(GRADIENT_SIZE):
-        out[k] = 0
+def sum_pairs(pair_slots: Any, first: int, end: int, out: Any) -> bool:
+    """Writes the sum of a splat's gradients over tiles to `out`; returns whether any is not zero."""
+    u = v = ux = uy = vy = power = red = green = blue = depth = 0.0
+    for slot in range(first, end):
+        row = pair_slots[slot]
+        u += row[G_U]
+        v += row[G_V]
+        ux += row[G_UX]
+        uy += row[G_UY]
+        vy += row[G_VY]
+        power += row[G_POWER]
+        red += row[G_RED]
+        green += row[G_GREEN]
+        blue += row[G_BLUE]
+        depth += row[G_DEPTH]
+    out[G_U], out[G_V], out[G_UX], out[G_UY], out[G_VY], out[G_POWER] = u, v, ux, uy, vy, power
+    out[G_RED], out[G_GREEN], out[G_BLUE], out[G_DEPTH] = red, green, blue, depth
     seen = False
-    for slot in range(slots[rank], slots[rank + 1]):
-        for k in range(GRADIENT_SIZE):
-            value = pair_slots[slot, k]
-            out[k] += value
-            seen |= value != 0
+    for k in range(GRADIENT_SIZE):
+        seen |= out[k] != 0
     return seen
 
 
@@ -146,13 +154,13 @@ def covariance_gradient(
 @kernel
 def project_backward_part(
     means: Any, quats: Any, scales: Any, covariances: Any, opacities: Any, colors: Any,
-    camera: Any, options: Any, degree: int, ranks: Any, splats: Any, slots: Any, pair_slots: Any,
+    camera: Any, options: Any, degree: int, splats: Any, slots: Any, pair_slots: Any,
     g_means: Any, g_quats: Any, g_scales: Any, g_covariances: Any, g_opacities: Any, g_colors: Any,
     g_offsets: Any, g_camera: Any, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Writes the gradients of the visible Gaussians; a gradient that nobody asked for has no rows.
 
-    `slots` `[V + 1]` delimits the rows of `pair_slots` of each rank. `g_camera` `[pieces, 12]` gets the
+    `slots` `[N + 1]` delimits the rows of `pair_slots` of each. `g_camera` `[pieces, 12]` gets the
     gradient of rotation and translation, one row for every `PART` Gaussians.
     """
     dilation, antialiased = options[1], options[3] != 0
@@ -168,7 +176,7 @@ def project_backward_part(
         for k in range(12):
             g_rows[k] = 0.0
         for i in range(begin, min(count, begin + PART)):
-            seen = sum_pairs(pair_slots, slots, ranks[i], pair)
+            seen = sum_pairs(pair_slots, slots[i], slots[i + 1], pair)
             if g_colors.shape[0] > 0:  # the largest array comes as it was allocated
                 for k in range(max(bands, 1) if seen else 0, g_colors.shape[1]):
                     for channel in range(3):
