@@ -125,6 +125,31 @@ def test_any_subset_of_gradients(wanted: str, layer: str) -> None:
     )
 
 
+def test_colors_alone_leave_the_geometry_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = make_scene(dtype=torch.float32)
+    alone = Scene({n: t.detach() for n, t in scene.tensors.items()}, scene.K, 40, 30, scene.options)
+    alone.tensors["colors"].requires_grad_()
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError("the gradient of shapes and places was computed")
+
+    monkeypatch.setattr(numba_backend, "blend_backward_part", refuse)
+    (got,) = torch.autograd.grad(alone.render("numba").rgb.sum(), alone.tensors["colors"])
+    monkeypatch.undo()
+    expected = torch.autograd.grad(scene.render("numba").rgb.sum(), scene.tensors["colors"])[0]
+    assert torch.equal(got, expected) and bool(got.any())
+
+
+def test_background_alone_visits_no_gaussian(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = make_scene(dtype=torch.float32)
+    alone = Scene({n: t.detach() for n, t in scene.tensors.items()}, scene.K, 40, 30, scene.options)
+    background = alone.tensors["background"].requires_grad_()
+    rendering = alone.render("numba")
+    monkeypatch.setattr(numba_backend, "run_parts", lambda *_: pytest.fail("a kernel ran"))
+    (got,) = torch.autograd.grad(rendering.rgb.sum(), background)
+    assert torch.allclose(got, (1 - rendering.alpha).sum().expand(3))
+
+
 def test_no_gradient_asked_for_none_recorded() -> None:
     scene = make_scene(dtype=torch.float32)
     with torch.no_grad():

@@ -19,6 +19,7 @@ from occfusion.splat.backends.layers import Layers
 from occfusion.splat.backends.numba_bins import bin_splats, sort_by_depth
 from occfusion.splat.backends.numba_blend import blend_part
 from occfusion.splat.backends.numba_blend_backward import blend_backward_part
+from occfusion.splat.backends.numba_blend_colors import blend_colors_backward_part
 from occfusion.splat.backends.numba_compile import run_parts
 from occfusion.splat.backends.numba_layout import (
     GRADIENT_SIZE,
@@ -35,6 +36,7 @@ from occfusion.splat.request import Request
 
 Array = np.ndarray
 GRADIENTS = ("means", "quats", "scales", "covariances", "opacities", "colors", "offsets")
+COLORS = GRADIENTS.index("colors")
 LEAST_ALPHA_MIN = 1 / 256
 """The kernels' exponential covers alphas down to this."""
 
@@ -198,18 +200,33 @@ class _Rasterize(torch.autograd.Function):
         # reading the saved tensors makes autograd complain about any that was changed in between
         alpha, depth = ctx.saved_tensors[-2:]
         tape: Tape = ctx.tape
-        inputs = _inputs(ctx.request)
-        pair_slots = np.empty((len(tape.entries), GRADIENT_SIZE), np.float32)
-        run_parts(
-            blend_backward_part, tape.packed, tape.starts, tape.entries, tape.tiles, _planes(),
-            tape.grid, tape.limits, tape.background, alpha.numpy(), depth.numpy(), tape.kept, tape.blended,
-            _array(grad_rgb, 1, 3), _array(grad_alpha, 1), _array(grad_depth, 1), pair_slots,
-        )  # fmt: skip
-        gradients = _gaussian_gradients(ctx.needs_input_grad, inputs, tape, pair_slots)
+        needed = ctx.needs_input_grad[:8]
+        gradients: list[Tensor | None] = [None] * len(needed)
+        if any(needed):
+            only_colors = sum(needed) == 1 and needed[COLORS]
+            pair_slots = _pair_gradients(tape, alpha, depth, (grad_rgb, grad_alpha, grad_depth), only_colors)
+            gradients = _gaussian_gradients(needed, _inputs(ctx.request), tape, pair_slots)
         g_background = None
         if ctx.needs_input_grad[8] and grad_rgb is not None:
             g_background = ((1 - alpha)[..., None] * grad_rgb).sum((0, 1))
         return (*gradients, g_background, None)
+
+
+def _pair_gradients(
+    tape: Tape, alpha: Tensor, depth: Tensor, grads: tuple[Tensor | None, ...], only_colors: bool
+) -> Array:
+    """Returns the gradient of each (splat, tile) pair `[pairs, 10]`; the colours' columns alone where asked."""
+    slots = np.empty((len(tape.entries), GRADIENT_SIZE), np.float32)
+    rgb, *others = _array(grads[0], 1, 3), _array(grads[1], 1), _array(grads[2], 1)
+    scene = (
+        tape.packed, tape.starts, tape.entries, tape.tiles, _planes(), tape.grid, tape.limits, tape.background,
+        alpha.numpy(), depth.numpy(), tape.blended, tape.kept,
+    )  # fmt: skip
+    if only_colors:
+        run_parts(blend_colors_backward_part, *scene, rgb, slots)
+    else:
+        run_parts(blend_backward_part, *scene, rgb, *others, slots)
+    return slots
 
 
 def _gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Array) -> list[Tensor | None]:

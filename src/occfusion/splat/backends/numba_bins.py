@@ -98,8 +98,8 @@ def sort_by_bits(splats: Any) -> Any:
 
 @inline
 def strip_span(
-    half: float, turn: float, reach: float, m: float, l2: float, inverse_l1: float, top: float, bottom: float
-) -> tuple[float, float]:
+    half: Any, turn: Any, reach: Any, m: Any, l2: Any, inverse_l1: Any, top: Any, bottom: Any
+) -> tuple[Any, Any]:
     """Returns the x range, relative to the centre, that the seen ellipse has between two values of dy.
 
     Exact: each end lies at the ellipse's extreme point or, when that is outside the strip, at the

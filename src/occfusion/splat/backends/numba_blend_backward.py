@@ -51,13 +51,13 @@ from occfusion.splat.backends.numba_layout import (
 @kernel
 def blend_backward_part(
     packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, grid: Any, limits: Any,
-    background: Any, alpha: Any, depth: Any, kept: Any, blended: Any,
+    background: Any, alpha: Any, depth: Any, blended: Any, kept: Any,
     grad_rgb: Any, grad_alpha: Any, grad_depth: Any, slots: Any, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Writes to `slots` `[pairs, 10]` the gradient of every (splat, tile) pair of its share of the tiles.
 
-    Absent gradients have no rows. A lane's transmittance is recovered from behind by dividing by
-    1 - alpha, which is safe because alpha is capped. Blocks whose pixels have no gradient are left out.
+    Absent gradients have no rows. A lane's transmittance is recovered from behind, by the odds
+    alpha / (1 - alpha), which are safe because alpha is capped. Blocks whose pixels have no gradient are left out.
     """
     alpha_max, alpha_min = limits[0], limits[1]
     p = all_planes[part]
@@ -67,11 +67,7 @@ def blend_backward_part(
         tile = tiles[number]
         tile_x, tile_y = tile % grid[2] * TILE_WIDTH, tile // grid[2] * TILE_HEIGHT
         left, top = np.float32(grid[0] + tile_x), np.float32(grid[1] + tile_y)
-        for block in range(TILE_BLOCKS):
-            q = p[block * BLOCK_SIZE :]
-            for i in range(LANES):
-                q[THROUGH + i] = kept[number, 0, block * LANES + i]
-                q[LATEST + i] = kept[number, 1, block * LANES + i]
+        load_kept(kept[number], p)
         load_gradients(grad_rgb, grad_alpha, grad_depth, alpha, depth, background, tile_x, tile_y, p)
         wanted = blocks_with_gradient(p)
         begin, end = starts[tile], starts[tile + 1]
@@ -103,13 +99,13 @@ def blend_backward_part(
                         a = full if full < alpha_max else alpha_max
                         a = a if a >= alpha_min else ZERO
                         a = a if q[LATEST + i] >= rank else ZERO
-                        inverse = ONE / (ONE - a)
-                        t = q[THROUGH + i] * inverse
-                        q[THROUGH + i] = t
-                        w = a * t
+                        # transmittance behind the splat; before it that is t / (1 - a) = t + w
+                        t, odds = q[THROUGH + i], a / (ONE - a)
+                        w = odds * t
+                        q[THROUGH + i] = t + w
                         g_r, g_g, g_b, g_z = q[P_RED + i], q[P_GREEN + i], q[P_BLUE + i], q[P_FAR + i]
                         s = g_r * r + g_g * g + g_b * b + g_z * z + q[P_COVERED + i]
-                        power = w * s - a * (q[P_BEHIND + i] * inverse)
+                        power = odds * (t * s - q[P_BEHIND + i])
                         power = power if full < alpha_max else ZERO
                         q[P_BEHIND + i] += w * s
                         hu, hv = power * u, power * v
@@ -134,6 +130,16 @@ def sum_of_lanes(x: Any) -> Any:
     even = ((x[0] + x[8]) + (x[4] + x[12])) + ((x[2] + x[10]) + (x[6] + x[14]))
     odd = ((x[1] + x[9]) + (x[5] + x[13])) + ((x[3] + x[11]) + (x[7] + x[15]))
     return even + odd
+
+
+@inline
+def load_kept(kept: Any, p: Any) -> None:
+    """Writes what the forward pass kept of a tile, `[2, TILE_LANES]`, to the planes."""
+    for block in range(TILE_BLOCKS):
+        q = p[block * BLOCK_SIZE :]
+        for i in range(LANES):
+            q[THROUGH + i] = kept[0, block * LANES + i]
+            q[LATEST + i] = kept[1, block * LANES + i]
 
 
 @inline

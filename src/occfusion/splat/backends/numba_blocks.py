@@ -116,8 +116,8 @@ def blending_blocks(planes: Any, stop: float) -> int:
     blocks = 0
     for block in range(TILE_BLOCKS):
         through = planes[block * BLOCK_SIZE + THROUGH :]
-        most = np.float32(0)
+        count = 0
         for i in range(LANES):
-            most = max(most, through[i])
-        blocks |= (1 if most >= stop else 0) << block
+            count += through[i] >= stop
+        blocks |= (1 if count > 0 else 0) << block
     return blocks

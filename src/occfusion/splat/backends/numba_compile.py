@@ -23,9 +23,9 @@ import torch
 
 logger = logging.getLogger(__name__)
 
-FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
-"""What may be rearranged: fused multiply-adds and the order of sums over lanes. Infinities and NaN
-keep their meaning."""
+FAST_MATH = {"contract", "nsz"}
+"""What may be rearranged: a product and a sum may be fused. Sums stay in the order they are written in, so that two
+kernels that say the same thing round alike; infinities and NaN keep their meaning."""
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -121,6 +121,7 @@ def project_part(
     """
     n = means.shape[0]
     near, dilation, alpha_min, antialiased = options[0], options[1], options[2], options[3] != 0
+    log_alpha_min = math.log(alpha_min)
     root, affine, basis = np.empty(9), np.empty(6), np.empty(16, np.float32)
     bands = (degree + 1) ** 2
     for begin in range(part * PART, n, parts * PART):
@@ -150,26 +151,32 @@ def project_part(
                 opacity *= math.sqrt(max(flat / det, COMPENSATION_FLOOR))
                 if not (opacity > alpha_min):
                     continue
-            reach = 2 * math.log(opacity / alpha_min)
-            rx, ry = math.sqrt(reach * a), math.sqrt(reach * c)
+            log_opacity = math.log(opacity)
+            reach = 2 * (log_opacity - log_alpha_min)
+            root_a, root_c, root_det, root_reach = (
+                math.sqrt(a),
+                math.sqrt(c),
+                math.sqrt(det),
+                math.sqrt(reach),
+            )
+            rx, ry = root_reach * root_a, root_reach * root_c
             if mx + rx < window[0] or mx - rx > window[1] or my + ry < window[2] or my - ry > window[3]:
                 continue
-            l1, m, l2 = math.sqrt(c / det), -b / math.sqrt(c * det), 1 / math.sqrt(c)
             radii[i, 0] = rx
             radii[i, 1] = ry
             splats[i, X_WHOLE] = np.floor(mx)
             splats[i, X_PART] = mx - np.floor(mx)
             splats[i, Y_WHOLE] = np.floor(my)
             splats[i, Y_PART] = my - np.floor(my)
-            splats[i, L1] = l1
-            splats[i, M] = m
-            splats[i, L2] = l2
-            splats[i, LOG_OPACITY] = math.log(opacity) + EXP_SHIFT
+            splats[i, L1] = root_c / root_det
+            splats[i, M] = -b / (root_c * root_det)
+            splats[i, L2] = 1 / root_c
+            splats[i, LOG_OPACITY] = log_opacity + EXP_SHIFT
             splats[i, DEPTH] = z
             splats[i, REACH] = reach
             splats[i, HALF_HEIGHT] = ry
-            splats[i, TURN] = -m * math.sqrt(reach) / (l2 * math.sqrt(l2 * l2 + m * m))
-            splats[i, INVERSE_L1] = 1 / l1
+            splats[i, TURN] = b * root_reach / root_a
+            splats[i, INVERSE_L1] = root_det / root_c
             if degree < 0:
                 splats[i, RED] = colors[i, 0, 0]
                 splats[i, GREEN] = colors[i, 0, 1]

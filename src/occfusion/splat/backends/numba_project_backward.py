@@ -47,11 +47,14 @@ def factor_gradient(
 
     l1 = sqrt(c / det), m = -b / sqrt(c det), l2 = 1 / sqrt(c), det = a c - b^2.
     """
-    l1, root = math.sqrt(c / det), math.sqrt(c * det)
-    m = -b / root
-    g_a = -0.5 * c / det * (g_l1 * l1 + g_m * m)
-    g_b = g_l1 * l1 * b / det - g_m * a * c / (det * root)
-    g_c = -0.5 / c * (g_l1 * l1 * b * b / det + g_m * m * (det + a * c) / det + g_l2 / math.sqrt(c))
+    inverse_c, inverse_det = 1 / math.sqrt(c), 1 / math.sqrt(det)
+    l1, m = c * inverse_c * inverse_det, -b * inverse_c * inverse_det
+    over_det = inverse_det * inverse_det
+    along_l1, along_m = g_l1 * l1 * over_det, g_m * over_det
+    g_a = -0.5 * c * (along_l1 + along_m * m)
+    g_b = along_l1 * b - along_m * a * c * inverse_c * inverse_det
+    g_c = along_l1 * b * b + along_m * m * (det + a * c) + g_l2 * inverse_c
+    g_c *= -0.5 * inverse_c * inverse_c
     return g_a, g_b, g_c
 
 
