@@ -59,10 +59,11 @@ def bin_splats(splats: Splats, crop: Box, size: int, alpha_min: float) -> TileLi
     spans = (last - first + 1).clamp_min(0)
     pairs = spans[:, 0] * spans[:, 1]
     rank = torch.repeat_interleave(torch.arange(len(order), device=order.device), pairs)
-    within = torch.arange(len(rank), device=rank.device) - (pairs.cumsum(0) - pairs)[rank]
-    tile_x = first[rank, 0] + within % spans[rank, 0]
-    tile_y = first[rank, 1] + within // spans[rank, 0]
-    splat = order[rank]
+    within = torch.arange(len(rank), device=rank.device) - (pairs.cumsum(0) - pairs).index_select(0, rank)
+    across_span = spans[:, 0].index_select(0, rank)
+    tile_x = first[:, 0].index_select(0, rank) + within % across_span
+    tile_y = first[:, 1].index_select(0, rank) + within // across_span
+    splat = order.index_select(0, rank)
     keep = _reaches_tile(splats, splat, x + tile_x * size, y + tile_y * size, size, alpha_min)
     tile, splat = (tile_y * across + tile_x)[keep], splat[keep]
     tile, by_tile = torch.sort(tile, stable=True)
@@ -93,7 +94,7 @@ def tiles_to_picture(stacked: Tensor, lists: TileLists, crop: Box) -> tuple[Tens
     _, _, width, height = crop
     index = _pixel_index(lists, crop)
     rgb = stacked.new_zeros(height * width + 1, 3)
-    rgb[index] = stacked[:, :3].transpose(1, 2).reshape(-1, 3)
+    rgb.index_copy_(0, index, stacked[:, :3].transpose(1, 2).reshape(-1, 3))
     depth, alpha = (
         stacked.new_zeros(height * width + 1).index_copy_(0, index, stacked[:, channel].flatten())
         for channel in (3, 4)
@@ -112,11 +113,13 @@ def picture_to_tiles(
     index = index.clamp_max(pixels - 1)
     stacked = like.new_zeros(len(lists.tiles), 5, lists.size**2)
     if rgb is not None:
-        picked = rgb.reshape(pixels, 3)[index] * inside[:, None]
+        picked = rgb.reshape(pixels, 3).index_select(0, index) * inside[:, None]
         stacked[:, :3] = picked.view(len(lists.tiles), lists.size**2, 3).transpose(1, 2)
     for channel, layer in ((3, depth), (4, alpha)):
         if layer is not None:
-            stacked[:, channel] = (layer.reshape(-1)[index] * inside).view(len(lists.tiles), lists.size**2)
+            stacked[:, channel] = (layer.reshape(-1).index_select(0, index) * inside).view(
+                len(lists.tiles), lists.size**2
+            )
     return stacked
 
 
@@ -128,8 +131,8 @@ def _reaches_tile(
     The smallest u^2 + v^2 over the tile's rectangle of pixel centres lies on the edges that face the
     splat's centre (at the centre itself when it is inside), each a parabola clamped to the edge.
     """
-    mx, my = splats.means2d.to(splats.factors.dtype)[splat].unbind(-1)
-    l1, m, l2 = splats.factors[splat].unbind(-1)
+    mx, my = splats.means2d.to(splats.factors.dtype).index_select(0, splat).unbind(-1)
+    l1, m, l2 = splats.factors.index_select(0, splat).unbind(-1)
     x0, y0 = left + 0.5 - mx, top + 0.5 - my
     x1, y1 = x0 + (size - 1), y0 + (size - 1)
     zero = torch.zeros_like(mx)
@@ -140,5 +143,5 @@ def _reaches_tile(
 
     on_column = form(near_x, (-l1 * m * near_x / (m * m + l2 * l2)).clamp(y0, y1))
     on_row = form((-m * near_y / l1).clamp(x0, x1), near_y)
-    reach = 2 * (splats.opacities[splat].log() - math.log(alpha_min))
+    reach = 2 * (splats.opacities.log() - math.log(alpha_min)).index_select(0, splat)
     return torch.minimum(on_column, on_row) <= reach * (1 + SLACK) + SLACK

@@ -93,10 +93,10 @@ class Blended:
     transmittance: Tensor
 
 
-def blend_chunk(chunk: Chunk, shapes: Tensor, limits: Limits) -> Blended:
+def blend_chunk(chunk: Chunk, shapes: Tensor, limits: Limits, is_capped: bool) -> Blended:
     """Returns alphas and transmittances.
 
-    `shapes` `[V + 1, 8]` is the centre's whole pixels x, y, the rest of it, l1, m, l2, log opacity. The difference
+    `is_capped`: whether any opacity reaches `alpha_max`. `shapes` `[V + 1, 8]` is the centre's whole pixels x, y, the rest of it, l1, m, l2, log opacity. The difference
     of a pixel and whole pixels is exact, so the distance is as exact at the far corner as at the first.
     """
     whole_x, whole_y, part_x, part_y, l1, m, l2, log_opacity = (
@@ -108,7 +108,8 @@ def blend_chunk(chunk: Chunk, shapes: Tensor, limits: Limits) -> Blended:
     row_term = torch.addcmul(log_opacity, v, v, value=-0.5)
     alpha = torch.addcmul(row_term[:, :, :, None], u, u, value=-0.5).exp_()
     torch.threshold_(alpha, limits.alpha_min, 0.0)
-    alpha.clamp_(max=limits.alpha_max)
+    if is_capped:
+        alpha.clamp_(max=limits.alpha_max)
     transmittance = torch.empty_like(alpha)
     transmittance[:, 0] = 1
     torch.sub(1, alpha[:, :-1], out=transmittance[:, 1:])
@@ -124,13 +125,14 @@ class Blend(torch.autograd.Function):
     def forward(ctx, means2d, factors, opacities, features, lists, crop, limits):  # type: ignore[no-untyped-def]
         """Returns rgb `[h, w, 3]`, alpha and weighted depth `[h, w]`; `features` are `[V, 5]`."""
         shapes, padded = _with_padding(means2d, factors, opacities, features)
+        is_capped = bool((opacities >= limits.alpha_max).any())
         stacked = features.new_empty(len(lists.tiles), CHANNELS, lists.size**2)
         for chunk in chunks(lists, crop, len(opacities), opacities.dtype):
-            blended = blend_chunk(chunk, shapes, limits)
+            blended = blend_chunk(chunk, shapes, limits, is_capped)
             weights = blended.transmittance.mul_(blended.alpha).flatten(2)
             torch.bmm(rows_of(padded, chunk.splats).transpose(1, 2), weights, out=stacked[chunk.rows])
         ctx.save_for_backward(means2d, factors, opacities, features)
-        ctx.plan = lists, crop, limits
+        ctx.plan = lists, crop, limits, is_capped
         ctx.set_materialize_grads(False)
         return tiles_to_picture(stacked, lists, crop)
 
@@ -138,15 +140,17 @@ class Blend(torch.autograd.Function):
     def backward(ctx, grad_rgb, grad_alpha, grad_depth):  # type: ignore[no-untyped-def]
         """Returns the gradients of means2d, factors, opacities and features."""
         means2d, factors, opacities, features = ctx.saved_tensors
-        lists, crop, limits = ctx.plan
+        lists, crop, limits, is_capped = ctx.plan
         grad = picture_to_tiles(grad_rgb, grad_alpha, grad_depth, lists, crop, opacities)
         shapes, padded = _with_padding(means2d, factors, opacities, features)
         grad_shapes = grad.new_zeros(len(lists.splats) + 1, 6)
         grad_features = grad.new_zeros(len(lists.splats) + 1, CHANNELS)
         for chunk in chunks(lists, crop, len(opacities), opacities.dtype):
-            shape_part, feature_part = _chunk_gradients(chunk, shapes, padded, grad[chunk.rows], limits)
-            grad_shapes[chunk.pairs] = shape_part
-            grad_features[chunk.pairs] = feature_part
+            shape_part, feature_part = _chunk_gradients(
+                chunk, shapes, padded, grad[chunk.rows], limits, is_capped
+            )
+            grad_shapes.index_copy_(0, chunk.pairs.flatten(), shape_part.flatten(0, 1))
+            grad_features.index_copy_(0, chunk.pairs.flatten(), feature_part.flatten(0, 1))
         # one row for each (tile, splat) pair, summed in a fixed order
         shape = grad.new_zeros(len(opacities), 6).index_add_(0, lists.splats, grad_shapes[:-1])
         feature = grad.new_zeros(len(opacities), CHANNELS).index_add_(0, lists.splats, grad_features[:-1])
@@ -173,10 +177,10 @@ def _with_padding(
 
 
 def _chunk_gradients(
-    chunk: Chunk, shapes: Tensor, features: Tensor, grad: Tensor, limits: Limits
+    chunk: Chunk, shapes: Tensor, features: Tensor, grad: Tensor, limits: Limits, is_capped: bool
 ) -> tuple[Tensor, Tensor]:
     """Returns the gradients of each (tile, splat) pair's shape `[B, L, 6]` and features `[B, L, 5]`."""
-    blended = blend_chunk(chunk, shapes, limits)
+    blended = blend_chunk(chunk, shapes, limits, is_capped)
     alpha, transmittance, u, v = blended.alpha, blended.transmittance, blended.u, blended.v
     slopes = torch.bmm(rows_of(features, chunk.splats), grad).view_as(alpha)  # s
     weights = alpha * transmittance
@@ -186,7 +190,9 @@ def _chunk_gradients(
     grad_alpha = transmittance.mul_(slopes)
     grad_alpha[:, :-1].addcdiv_(from_here[:, 1:], alpha[:, :-1] - 1)
     # d alpha / d power = alpha, and zero where alpha was dropped or capped
-    grad_power = grad_alpha.mul_(alpha).masked_fill_(alpha >= limits.alpha_max, 0)
+    grad_power = grad_alpha.mul_(alpha)
+    if is_capped:
+        grad_power.masked_fill_(alpha >= limits.alpha_max, 0)
     size = alpha.shape[-1]
     sum_row, sum_all = _pixel_sums(size, grad.dtype, grad.device)
     by_row = grad_power.flatten(2) @ sum_row  # v and dy are the same along a row
