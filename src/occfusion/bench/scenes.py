@@ -62,8 +62,8 @@ class BenchScene:
     cotangents: tuple[Tensor, Tensor, Tensor]
 
     def leaves(self, dtype: torch.dtype | None = None) -> dict[str, Tensor]:
-        """Returns fresh copies of the inputs that collect gradients."""
-        return {k: v.detach().to(dtype or v.dtype).clone().requires_grad_() for k, v in self.inputs.items()}
+        """Returns the inputs as leaves that collect gradients anew; the memory is shared where the type is kept."""
+        return {k: v.detach().to(dtype or v.dtype).requires_grad_() for k, v in self.inputs.items()}
 
     def arguments(self, inputs: dict[str, Tensor]) -> dict[str, Any]:
         """Returns the keyword arguments of `rasterize` for some inputs, the camera in their type."""
@@ -76,13 +76,6 @@ class BenchScene:
             "height": camera.height,
             "sh_degree": self.sh_degree,
         }
-
-    def scalar(self, rgb: Tensor, alpha: Tensor, depth: Tensor) -> Tensor:
-        """Returns the weighted sum of the three pictures."""
-        return sum(
-            ((w.to(p) * p).sum() for w, p in zip(self.cotangents, (rgb, alpha, depth), strict=True)),
-            start=rgb.new_zeros(()),
-        )
 
     def without_depth(self) -> BenchScene:
         """Returns the scene with a scalar that leaves depth out.

@@ -96,7 +96,8 @@ class Blended:
 def blend_chunk(chunk: Chunk, shapes: Tensor, limits: Limits, is_capped: bool) -> Blended:
     """Returns alphas and transmittances.
 
-    `is_capped`: whether any opacity reaches `alpha_max`. `shapes` `[V + 1, 8]` is the centre's whole pixels x, y, the rest of it, l1, m, l2, log opacity. The difference
+    `is_capped`: whether any opacity reaches `alpha_max`.
+    `shapes` `[V + 1, 8]` is the centre's whole pixels x, y, the rest of it, l1, m, l2, log opacity. The difference
     of a pixel and whole pixels is exact, so the distance is as exact at the far corner as at the first.
     """
     whole_x, whole_y, part_x, part_y, l1, m, l2, log_opacity = (
