@@ -72,11 +72,13 @@ def fill_root(quats: Any, scales: Any, i: int, out: Any) -> None:
 @inline
 def fill_affine(camera: Any, x: float, y: float, z: float, out: Any) -> None:
     """Writes the two rows of Jacobian times view rotation to `out` `[6]`; `camera` is by `pack_camera`."""
-    slope_x = min(max(x / z, camera[16]), camera[17])
-    slope_y = min(max(y / z, camera[18]), camera[19])
+    inverse_z = 1 / z
+    slope_x = min(max(x * inverse_z, camera[16]), camera[17])
+    slope_y = min(max(y * inverse_z, camera[18]), camera[19])
+    kx, ky = camera[12] * inverse_z, camera[13] * inverse_z
     for j in range(3):
-        out[j] = camera[12] / z * (camera[j] - slope_x * camera[6 + j])
-        out[3 + j] = camera[13] / z * (camera[3 + j] - slope_y * camera[6 + j])
+        out[j] = kx * (camera[j] - slope_x * camera[6 + j])
+        out[3 + j] = ky * (camera[3 + j] - slope_y * camera[6 + j])
 
 
 @inline

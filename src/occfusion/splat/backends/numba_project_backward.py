@@ -259,26 +259,31 @@ def project_backward_part(
                 )  # fmt: skip
             if not wants_place:
                 continue
-            g_x, g_y, g_z = g_mx * camera[12] / z, g_my * camera[13] / z, pair[G_DEPTH]
-            g_z -= (g_x * x + g_y * y) / z
-            slope_x = min(max(x / z, camera[16]), camera[17])
-            slope_y = min(max(y / z, camera[18]), camera[19])
-            kx, ky = camera[12] / z, camera[13] / z
+            inverse_z = 1 / z
+            kx, ky = camera[12] * inverse_z, camera[13] * inverse_z
+            free_x, free_y = x * inverse_z, y * inverse_z
+            slope_x = min(max(free_x, camera[16]), camera[17])
+            slope_y = min(max(free_y, camera[18]), camera[19])
+            g_x, g_y = g_mx * kx, g_my * ky
+            # what is multiplied by 1 / z: the centre's distance from the axis, and the affine rows
+            g_log_z = -(g_x * x + g_y * y)
             g_slope_x = g_slope_y = 0.0
             for j in range(3):
-                g_z -= (g_affine[j] * affine[j] + g_affine[3 + j] * affine[3 + j]) / z
+                g_log_z -= g_affine[j] * affine[j] + g_affine[3 + j] * affine[3 + j]
                 g_slope_x -= kx * g_affine[j] * camera[6 + j]
                 g_slope_y -= ky * g_affine[3 + j] * camera[6 + j]
                 if wants_camera:
                     g_rows[j] += kx * g_affine[j]
                     g_rows[3 + j] += ky * g_affine[3 + j]
                     g_rows[6 + j] -= kx * slope_x * g_affine[j] + ky * slope_y * g_affine[3 + j]
-            if slope_x == x / z:
-                g_x += g_slope_x / z
-                g_z -= g_slope_x * x / (z * z)
-            if slope_y == y / z:
-                g_y += g_slope_y / z
-                g_z -= g_slope_y * y / (z * z)
+            # a slope that was clamped does not follow the centre
+            if slope_x == free_x:
+                g_x += g_slope_x * inverse_z
+                g_log_z -= g_slope_x * free_x
+            if slope_y == free_y:
+                g_y += g_slope_y * inverse_z
+                g_log_z -= g_slope_y * free_y
+            g_z = pair[G_DEPTH] + g_log_z * inverse_z
             if wants_camera:
                 for j in range(3):
                     w = means[i, j]
