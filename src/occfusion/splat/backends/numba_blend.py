@@ -74,6 +74,17 @@ def shifted_exp(y: Any) -> Any:
     return p * p
 
 
+@inline
+def lane_alpha(
+    q: Any, i: int, centre_x: float, centre_y: float, l1: float, m: float, l2: float, log_opacity: float
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Returns dx, dy, u, v and alpha, neither capped nor cut off, of a splat at a lane of the block `q`."""
+    dx, dy = q[COLUMN + i] - centre_x, q[ROW + i] - centre_y
+    u = l1 * dx + m * dy
+    v = l2 * dy
+    return dx, dy, u, v, shifted_exp(log_opacity - HALF * (u * u + v * v))
+
+
 @kernel
 def blend_part(
     packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, grid: Any, limits: Any,
@@ -118,10 +129,7 @@ def blend_part(
                     block, blocks = lowest_block(blocks)
                     q = p[block * BLOCK_SIZE :]
                     for i in range(LANES):
-                        dx, dy = q[COLUMN + i] - centre_x, q[ROW + i] - centre_y
-                        u = l1 * dx + m * dy
-                        v = l2 * dy
-                        a = shifted_exp(log_opacity - HALF * (u * u + v * v))
+                        a = lane_alpha(q, i, centre_x, centre_y, l1, m, l2, log_opacity)[4]
                         a = a if a < alpha_max else alpha_max
                         a = a if a >= alpha_min else ZERO
                         t = q[THROUGH + i]

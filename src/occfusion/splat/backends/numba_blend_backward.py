@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.splat.backends.numba_blend import ONE, ZERO, place_of, shifted_exp
-from occfusion.splat.backends.numba_blocks import GROUP, HALF, fetch_group, lowest_block, tile_centre
+from occfusion.splat.backends.numba_blend import ONE, ZERO, lane_alpha, place_of
+from occfusion.splat.backends.numba_blocks import GROUP, fetch_group, lowest_block, tile_centre
 from occfusion.splat.backends.numba_compile import inline, kernel
 from occfusion.splat.backends.numba_layout import (
     BLOCK_SIZE,
     BLUE,
-    COLUMN,
     DEPTH,
     G_BLUE,
     G_DEPTH,
@@ -38,7 +37,6 @@ from occfusion.splat.backends.numba_layout import (
     P_GREEN,
     P_RED,
     RED,
-    ROW,
     SPLAT_SIZE,
     THROUGH,
     TILE_BLOCKS,
@@ -92,10 +90,7 @@ def blend_backward_part(
                     block, blocks = lowest_block(blocks)
                     q = p[block * BLOCK_SIZE :]
                     for i in range(LANES):
-                        dx, dy = q[COLUMN + i] - centre_x, q[ROW + i] - centre_y
-                        u = l1 * dx + m * dy
-                        v = l2 * dy
-                        full = shifted_exp(log_opacity - HALF * (u * u + v * v))
+                        dx, dy, u, v, full = lane_alpha(q, i, centre_x, centre_y, l1, m, l2, log_opacity)
                         a = full if full < alpha_max else alpha_max
                         a = a if a >= alpha_min else ZERO
                         a = a if q[LATEST + i] >= rank else ZERO

@@ -6,18 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.splat.backends.numba_blend import ONE, ZERO, shifted_exp
+from occfusion.splat.backends.numba_blend import ONE, ZERO, lane_alpha
 from occfusion.splat.backends.numba_blend_backward import (
     blocks_with_gradient,
     load_gradients,
     load_kept,
     sum_of_lanes,
 )
-from occfusion.splat.backends.numba_blocks import GROUP, HALF, fetch_group, lowest_block, tile_centre
+from occfusion.splat.backends.numba_blocks import GROUP, fetch_group, lowest_block, tile_centre
 from occfusion.splat.backends.numba_compile import kernel
 from occfusion.splat.backends.numba_layout import (
     BLOCK_SIZE,
-    COLUMN,
     G_BLUE,
     G_GREEN,
     G_RED,
@@ -30,7 +29,6 @@ from occfusion.splat.backends.numba_layout import (
     P_BLUE,
     P_GREEN,
     P_RED,
-    ROW,
     SPLAT_SIZE,
     THROUGH,
     TILE_HEIGHT,
@@ -83,10 +81,7 @@ def blend_colors_backward_part(
                     block, blocks = lowest_block(blocks)
                     q = p[block * BLOCK_SIZE :]
                     for i in range(LANES):
-                        dx, dy = q[COLUMN + i] - centre_x, q[ROW + i] - centre_y
-                        u = l1 * dx + m * dy
-                        v = l2 * dy
-                        a = shifted_exp(log_opacity - HALF * (u * u + v * v))
+                        a = lane_alpha(q, i, centre_x, centre_y, l1, m, l2, log_opacity)[4]
                         a = a if a < alpha_max else alpha_max
                         a = a if a >= alpha_min else ZERO
                         a = a if q[LATEST + i] >= rank else ZERO
