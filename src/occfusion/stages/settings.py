@@ -18,7 +18,7 @@ class RateSettings:
     opacity: float = 5e-2
     scales: float = 5e-2
     quats: float = 1e-3
-    pose: float = 5e-5
+    pose: float = 3e-4
     skinning: float = 5e-5
 
 
