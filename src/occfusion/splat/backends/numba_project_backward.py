@@ -28,6 +28,7 @@ from occfusion.splat.backends.numba_layout import (
     RED,
     M,
 )
+from occfusion.splat.backends.numba_pairs import sum_pairs
 from occfusion.splat.backends.numba_project import (
     PART,
     fill_affine,
@@ -56,30 +57,6 @@ def factor_gradient(
     g_c = along_l1 * b * b + along_m * m * (det + a * c) + g_l2 * inverse_c
     g_c *= -0.5 * inverse_c * inverse_c
     return g_a, g_b, g_c
-
-
-@inline
-def sum_pairs(pair_slots: Any, first: int, end: int, out: Any) -> bool:
-    """Writes the sum of a splat's gradients over tiles to `out`; returns whether any is not zero."""
-    u = v = ux = uy = vy = power = red = green = blue = depth = 0.0
-    for slot in range(first, end):
-        row = pair_slots[slot]
-        u += row[G_U]
-        v += row[G_V]
-        ux += row[G_UX]
-        uy += row[G_UY]
-        vy += row[G_VY]
-        power += row[G_POWER]
-        red += row[G_RED]
-        green += row[G_GREEN]
-        blue += row[G_BLUE]
-        depth += row[G_DEPTH]
-    out[G_U], out[G_V], out[G_UX], out[G_UY], out[G_VY], out[G_POWER] = u, v, ux, uy, vy, power
-    out[G_RED], out[G_GREEN], out[G_BLUE], out[G_DEPTH] = red, green, blue, depth
-    seen = False
-    for k in range(GRADIENT_SIZE):
-        seen |= out[k] != 0
-    return seen
 
 
 @inline
