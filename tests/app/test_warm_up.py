@@ -40,7 +40,8 @@ with initialize_config_dir(sys.argv[1], version_base="1.3"):
     app.run(compose("config", sys.argv[2:]), folder_chosen_by_user=True)
 # No stage learns colours alone: the kernel for that is compiled for those who ask for it, by themselves.
 assert len(at_start) >= 6, at_start
-assert {k: len(s) for k, s in at_start.items()} == {k: int(k != "blend_colors_backward_part") for k in at_start}, at_start
+expected = {k: int(k != "blend_colors_backward_part") for k in at_start}
+assert {k: len(s) for k, s in at_start.items()} == expected, at_start
 assert compiled() == at_start, (compiled(), at_start)
 """
 

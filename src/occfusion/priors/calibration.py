@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.geometry.distance import nearest_set, signed_distance
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
 from occfusion.priors.evidence import Evidence, person_size
@@ -95,19 +96,15 @@ def _outline(moment: Moment, camera: Camera, body: Body) -> _Outline:
     seen = rasterize_mesh(moment.motion.pixels, moment.motion.depths, faces, camera.width, camera.height)
     covered = seen.face >= 0
     metres = float(np.median(moment.motion.depths)) / float(camera.K[0, 0])
-    outside, labels = cv2.distanceTransformWithLabels(
-        (~covered).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    within = cv2.distanceTransform(covered.astype(np.uint8), cv2.DIST_L2, 5)
-    source = np.zeros(int(labels.max()) + 1, np.int64)
-    source[labels[covered]] = np.flatnonzero(covered.ravel())
     corner = np.take_along_axis(
         faces[np.maximum(seen.face, 0)],
         seen.barycentrics.argmax(axis=-1)[..., None].astype(np.int64),
         axis=-1,
     )[..., 0]
-    nearest = corner.ravel()[source[labels]]
-    distance = np.where(covered, within - 0.5, 0.5 - outside) * metres
+    # where the picture shows nothing of the body, all is far from it, and from which vertex makes no difference
+    nearest = corner.ravel()[nearest_set(covered)] if covered.any() else np.zeros(covered.shape, np.int64)
+    to_edge = signed_distance(covered) + np.where(covered, -0.5, 0.5)  # which runs between two pixels
+    distance = to_edge * metres
     return _Outline(distance.astype(np.float64), nearest.astype(np.int64))
 
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.geometry.distance import nearest_set
 from occfusion.geometry.zbuffer import rasterize_mesh
 
 Floats = NDArray[np.float32]
@@ -47,12 +48,7 @@ def body_flow(now: Motion, other: Motion, faces: NDArray[np.int64], height: int,
     corners = faces[seen.face[there]]
     moved = (other.pixels - now.pixels)[corners]
     shift[there] = (moved * seen.barycentrics[there][..., None]).sum(axis=1)
-    _, labels = cv2.distanceTransformWithLabels(
-        (~there).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    source = np.zeros(int(labels.max()) + 1, np.int64)
-    source[labels[there]] = np.flatnonzero(there.ravel())
-    shift = shift.reshape(-1, 2)[source[labels]]
+    shift = shift.reshape(-1, 2)[nearest_set(there)]
     at = (grid - low.astype(np.float32)) * np.float32(scale) - np.float32(0.5)
     spread = cv2.remap(shift, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(grid + spread, np.float32)

@@ -8,12 +8,11 @@ distance to the body's outline, gives the fused answer (stacked generalisation, 
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from occfusion.geometry.distance import signed_distance
 from occfusion.priors.conditions import Conditions
 from occfusion.priors.logistic import fit_logistic
 
@@ -117,17 +116,11 @@ def fusion_features(mean: Tensor, conditions: Conditions) -> tuple[Tensor, Tenso
     beyond = (body & background).sum() / union  # of the body, where it cannot be
     beside = (person & ~body).sum() / union  # of the person, not covered
     fit = torch.stack([torch.ones_like(beyond), (beyond + 0.01).log() + 3.5, (beside + 0.01).log() + 3.0])
-    distance = signed_distance(body[0, 0].cpu().numpy()).to(mean)[None, None][hidden]
+    distance = torch.from_numpy(signed_distance(body[0, 0].cpu().numpy(), window=3)).to(mean)[None, None][
+        hidden
+    ]
     d = (distance / (UNIT * mean.shape[-1])).clamp(-FARTHEST, FARTHEST)
     answer = mean[hidden].clamp(-SURE, SURE).atanh()
     ramps = (d.tanh(), (2.0 * d + 1.0).tanh(), (0.5 * d + 0.5).tanh())
     shapes = torch.stack([torch.ones_like(d), answer, d, *ramps], dim=1)
     return (shapes[:, :, None] * fit.to(mean)).flatten(1), hidden
-
-
-def signed_distance(mask: NDArray[np.bool_]) -> Tensor:
-    """Returns the distance to a mask's edge in pixels, `[H, W]`, positive inside."""
-    inside = mask.astype(np.uint8)
-    within = cv2.distanceTransform(inside, cv2.DIST_L2, 3)
-    outside = cv2.distanceTransform(1 - inside, cv2.DIST_L2, 3)
-    return torch.from_numpy(within - outside)

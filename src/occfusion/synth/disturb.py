@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.geometry.distance import signed_distance
 from occfusion.synth.motion import Take, smooth_noise
 from occfusion.synth.rotations import Floats, axis_angle_from_quaternion, multiply, quaternion_from_axis_angle
 
@@ -83,6 +84,4 @@ def move_edge(person: NDArray[np.bool_], shift: NDArray[np.float32]) -> NDArray[
     """Returns the mask with its edge moved outwards by `shift` pixels (inwards where negative)."""
     if not person.any():
         return person
-    inside = cv2.distanceTransform(person.astype(np.uint8), cv2.DIST_L2, 3)
-    outside = cv2.distanceTransform((~person).astype(np.uint8), cv2.DIST_L2, 3)
-    return np.asarray(inside - outside + shift > 0.0)
+    return np.asarray(signed_distance(person, window=3) + shift > 0.0)
