@@ -73,7 +73,7 @@ def make_references(
         if signal is not None and stage.wanted:
             raise Interrupted(signal, str(stage.folder))
     seconds = time.monotonic() - started
-    print(f"refine: {len(wanted)} of {len(moments)} frames inpainted in {seconds:.1f} s")
+    print(f"refine: {len(wanted)} of {len(moments)} frames inpainted in {seconds:.1f} s; {stage.counted}")
     return stage.references, seconds
 
 

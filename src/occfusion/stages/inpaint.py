@@ -71,6 +71,13 @@ class InpaintStage(FramewiseStage):
         painted = {int(name) for name, record in self.records.items() if record["region_pixels"]}
         return References(self.folder, frozenset(painted))
 
+    @property
+    def counted(self) -> str:
+        """How many of the painted pixels the refinement will look at, in words."""
+        painted, region = (sum(r[f"{part}_pixels"] for r in self.records.values()) for part in ("painted", "region"))
+        others = "; other frames show the rest" if region < painted else ""
+        return f"references count on {region} of {painted} painted pixels{others}"
+
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
         """Inpaints and writes one frame; returns its record."""

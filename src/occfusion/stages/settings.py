@@ -167,14 +167,14 @@ class RefineSettings(AvatarSettings):
     Attributes:
         source: of the references: `prior`; `coarse`: the coarse rendering itself, to see what inpainting adds;
             `truth`: the data set's own complete pictures, an upper bound for synthetic scenes.
-        gen_pixels: where references count: `hidden`: in all of the paper's R; `unseen`: where R shows what no
-            frame of the video does.
+        gen_pixels: where references count: `unseen`: where the paper's R shows what no frame of the video does;
+            `hidden`: in all of R.
         lpips_pixels: what the SSIM and perceptual terms look at: `visible`; `all`: at those pixels of the
             references as well.
     """
 
     source: str = "prior"
-    gen_pixels: str = "hidden"
+    gen_pixels: str = "unseen"
     lpips_pixels: str = "visible"
     steps: int = 1200
     lambda_rgb: float = 1.0
