@@ -19,6 +19,9 @@ references it still trains on, with more Gaussians (docs/leaving_out.md has what
 MOSTLY_HIDDEN = 0.9
 """Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on."""
 
+BASELINE = "gauhuman"
+"""The variant that is kept as it was published."""
+
 FITTING = 1e-3
 """Of the body: where less lies outside the masks of whole people, poses need no mending. Embedded scenes with exact
 poses have 4e-5 at most, those with an estimator's errors and ragged masks 2.6e-2 at least (docs/leaving_out.md)."""
@@ -87,8 +90,8 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
 def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
     """Returns the decisions on pose refinement and the skinning network, in this order.
 
-    They mend poses. The whole system leaves them out where poses fit: the masks of the frames that show a whole person
-    then show the person wherever the body model has it (docs/leaving_out.md has the figures).
+    They mend poses. All variants but the plain baseline leave them out where poses fit: the masks of the frames that
+    show a whole person then show the person wherever the body model has it (docs/leaving_out.md has the figures).
     """
     optim = settings.optim
     decisions = [
@@ -96,12 +99,19 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
     whole = [moment for moment in moments or () if not moment.evidence.occluded]
-    if not _may_leave_out(settings) or len(whole) < FRAMES_TO_JUDGE:
+    if not may_leave_out_networks(settings) or len(whole) < FRAMES_TO_JUDGE:
         return decisions
     misfit = float(np.median([moment.evidence.outside_share for moment in whole]))
     shown = f"{misfit:.3%} of the body lies outside the mask (median of {len(whole)} frames that show a whole person)"
     shown += f"; {FITTING:.2%} would need mending"
     return [replace(d, used=d.used and misfit >= FITTING, reason=f"{d.reason}; {shown}") for d in decisions]
+
+
+def may_leave_out_networks(settings: Settings) -> bool:
+    """Returns whether how well poses fit decides on pose refinement and the skinning network."""
+    optim = settings.optim
+    asked = optim.refine_pose or optim.learn_skinning
+    return asked and settings.plan == "needed" and settings.variant.name != BASELINE
 
 
 def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings:
@@ -162,7 +172,7 @@ def with_everything(moments: Sequence[Moment]) -> list[Moment]:
 
 
 def _may_leave_out(settings: Settings) -> bool:
-    """Returns whether parts may go that other variants are there to show: in the whole system, unless all is asked."""
+    """Returns whether distillation may go, which other variants are there to show: in the whole system."""
     return settings.variant.name == "E" and settings.plan == "needed"
 
 

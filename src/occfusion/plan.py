@@ -30,7 +30,7 @@ def make_plan(
         settings: the run's settings.
         summary: the DataModule's summary; uses `occluded_frames` and `frames`.
         backend: the rasteriser backend that runs.
-        moments: what masks and poses say of the training frames; None where no masks are completed.
+        moments: what masks and poses say of the training frames; None where nothing depends on it.
     """
     optim = settings.optim
     plan = stage_decisions(settings, moments)

@@ -15,7 +15,7 @@ from occfusion.files.atomic import write_json
 from occfusion.human import Avatar
 from occfusion.init_run import look_at_training_frames
 from occfusion.inpaint.registry import check_inpainter
-from occfusion.needs import Decision, as_planned, with_everything
+from occfusion.needs import Decision, as_planned, may_leave_out_networks, with_everything
 from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior
@@ -37,7 +37,7 @@ class Run:
         avatar: as far as it is trained.
         perceptual: the perceptual metric, None where neither training nor evaluation asks for it.
         backend: of the rasteriser.
-        moments: what masks and poses say of the training frames; None where no prior is asked.
+        moments: what masks and poses say of the training frames; None where nothing depends on it.
         data_hash: of all that is read.
         stages: those that will run, in order: what the scene does not need is left out.
     """
@@ -69,7 +69,8 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     summary = data.summary()
     backend = resolve_backend(settings.rasterizer.name, device_of(settings), torch.float32)
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
-    moments = look_at_training_frames(data, body) if is_prior_asked else None
+    are_frames_judged = is_prior_asked or may_leave_out_networks(settings)
+    moments = look_at_training_frames(data, body) if are_frames_judged else None
     if moments is not None and settings.plan == "full":
         moments = with_everything(moments)
     decisions = planning.make_plan(settings, summary, backend, moments)

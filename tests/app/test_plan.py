@@ -46,7 +46,10 @@ def used(settings: Settings, moments: list[Moment] | None) -> dict[str, bool]:
         ((), [0.0] * 9 + [0.5] * 3, True),  # too few whole ones to tell
         ((), [0.0] * 5 + [0.02] * 6 + [0.5], True),
         (("plan=full",), [0.0] * 12, True),
-        (("variant=D",), [0.0] * 12, True),
+        (("variant=D",), [0.0] * 12, False),
+        (("variant=A",), [0.0] * 12, False),
+        (("variant=A",), [0.02] * 12, True),
+        (("variant=gauhuman",), [0.0] * 12, True),
         (("optim.refine_pose=false", "optim.learn_skinning=false"), [0.02] * 12, False),
     ],
 )

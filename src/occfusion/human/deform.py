@@ -33,6 +33,11 @@ class PoseRefiner(nn.Module):
         nn.init.uniform_(last.weight, -_LAST_LAYER, _LAST_LAYER)
         nn.init.uniform_(last.bias, -_LAST_LAYER, _LAST_LAYER)
 
+    def corrections(self, body_pose: Tensor) -> Tensor:
+        """Returns the corrections of the 23 joints as axis-angles `[23, 3]`, radians, for a body pose `[69]`."""
+        angles: Tensor = self.layers(body_pose)
+        return angles.unflatten(-1, (NUM_JOINTS - 1, 3))
+
     def forward(self, body_pose: Tensor, rotations: Tensor) -> Tensor:
         """Returns the joint rotations `[24, 3, 3]` with corrections multiplied from the right.
 
@@ -40,7 +45,7 @@ class PoseRefiner(nn.Module):
             body_pose: axis-angles, `[69]`, radians: what the network sees.
             rotations: joint rotations as the data give them, `[24, 3, 3]`.
         """
-        corrections = axis_angle_to_matrix(self.layers(body_pose).unflatten(-1, (NUM_JOINTS - 1, 3)))
+        corrections = axis_angle_to_matrix(self.corrections(body_pose))
         return torch.cat([rotations[:1], rotations[1:] @ corrections])
 
 

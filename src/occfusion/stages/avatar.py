@@ -126,6 +126,18 @@ class AvatarStage(Stage):
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
         return random_crop_box(mask, self._schedule.perceptual_crop, generator)
 
+    def correction(self, frame: Frame) -> dict[str, Tensor]:
+        """Returns the term that keeps pose corrections small: the mean over joints of the squared angle, radians.
+
+        What is hidden of a person says nothing of its pose; without this term corrections that mend what is seen turn
+        hidden limbs anywhere. Empty without a weight or without corrections.
+        """
+        refiner = self.avatar.pose_refiner
+        if refiner is None or not self._schedule.lambda_correction:
+            return {}
+        angles = refiner.corrections(frame.pose.body_pose.reshape(-1).to(self.avatar.gaussians.means))
+        return {"correction": angles.square().sum(dim=-1).mean()}
+
     # -- optimiser, schedules, densification ------------------------------------------------------------------
 
     def configure_optimizers(self) -> torch.optim.Adam:
