@@ -11,6 +11,7 @@ from occfusion.config import STAGES, Settings, stages_to_run
 from occfusion.priors.evidence import HIDDEN_SHARE
 from occfusion.priors.moments import Moment
 from occfusion.stages.avatar import BOX_PADDING
+from occfusion.stages.settings import AvatarSettings
 
 HIDDEN_STAGES = ("init",)
 """Stages that are about what is hidden alone: left out where nothing is. The refinement is not one of them: without
@@ -105,6 +106,14 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
     shown = f"{misfit:.3%} of the body lies outside the mask (median of {len(whole)} frames that show a whole person)"
     shown += f"; {FITTING:.2%} would need mending"
     return [replace(d, used=d.used and misfit >= FITTING, reason=f"{d.reason}; {shown}") for d in decisions]
+
+
+def correction_decision(stage: str, settings: AvatarSettings, networks: Sequence[Decision]) -> Decision:
+    """Returns whether a stage keeps pose corrections small: only where there are any."""
+    part = "loss term correction" + ("" if stage == "optim" else f" in {stage}")
+    weight, are_corrected = settings.lambda_correction, networks[0].used
+    reason = f"{stage}.lambda_correction = {weight:g}" + ("" if are_corrected else "; no pose is corrected")
+    return Decision(part, weight > 0 and are_corrected, reason)
 
 
 def may_leave_out_networks(settings: Settings) -> bool:

@@ -10,6 +10,7 @@ from occfusion.config import Settings
 from occfusion.needs import (
     Decision,
     box_reason,
+    correction_decision,
     generated_decision,
     inpainting_decision,
     mask_decision,
@@ -46,13 +47,16 @@ def make_plan(
         Decision("spherical harmonics above the active degree", False,
                  f"degree {highest} is the highest reached in the run's steps; higher bands are not allocated")
     )  # fmt: skip
-    plan += network_decisions(settings, moments)
+    networks = network_decisions(settings, moments)
+    plan += networks
+    plan.append(correction_decision("optim", optim, networks))
     plan.append(Decision("densification", optim.densify, f"optim.densify = {optim.densify}"))
     if is_refined:
         refine = settings.refine
         plan += _term_decisions("refine", refine, ("rgb", "mask"))
         plan.append(generated_decision(settings, moments))
         plan += _term_decisions("refine", refine, ("ssim", "lpips"))
+        plan.append(correction_decision("refine", refine, networks))
         reason = f"refine.densify = {refine.densify}"
         plan.append(Decision("densification in the refinement", refine.densify, reason))
     plan.append(Decision("pixels outside the person's padded box", False, box_reason(moments)))

@@ -137,6 +137,7 @@ def test_refiner_multiplies_from_the_right_and_leaves_the_root():
     refined = refiner(body_pose, rotations)
     assert torch.equal(refined[0], rotations[0])
     corrections = axis_angle_to_matrix(refiner.layers(body_pose).view(23, 3))
+    assert torch.equal(corrections, axis_angle_to_matrix(refiner.corrections(body_pose)))
     for k in range(23):
         assert torch.allclose(refined[k + 1], rotations[k + 1] @ corrections[k], atol=1e-14)
     fresh = PoseRefiner().double()(body_pose, rotations)

@@ -74,7 +74,9 @@ class InpaintStage(FramewiseStage):
     @property
     def counted(self) -> str:
         """How many of the painted pixels the refinement will look at, in words."""
-        painted, region = (sum(r[f"{part}_pixels"] for r in self.records.values()) for part in ("painted", "region"))
+        painted, region = (
+            sum(r[f"{part}_pixels"] for r in self.records.values()) for part in ("painted", "region")
+        )
         others = "; other frames show the rest" if region < painted else ""
         return f"references count on {region} of {painted} painted pixels{others}"
 
