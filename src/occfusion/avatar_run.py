@@ -108,7 +108,7 @@ def _run_stage(run_: Run, name: str) -> None:
     if name == "refine" or settings.trainer.fast_dev_run or is_helper():
         _train_stage(run_, name)
         return
-    # what follows the optimisation does not change it: `B`, or `D`, and `E` share theirs
+    # what follows the optimisation does not change it: variants whose plans agree on it share it
     curve = (
         settings.evaluation.curve,
         settings.evaluation.curve_images,
@@ -157,7 +157,7 @@ def _train_stage(run_: Run, name: str) -> None:
 
 
 def _optim_stage(run_: Run) -> tuple[AvatarStage, float]:
-    settings = run_.settings
+    settings = as_planned(run_.settings, run_.moments)
     stage = OptimStage(
         run_.avatar,
         settings.optim,

@@ -108,6 +108,15 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
     return [replace(d, used=d.used and misfit >= FITTING, reason=f"{d.reason}; {shown}") for d in decisions]
 
 
+def is_perceptual_term_deferred(settings: Settings) -> bool:
+    """Returns whether the optimisation goes without its perceptual term, as the refinement that follows has one.
+
+    The end of the refinement is the same (docs/leaving_out.md), and the term is half of what the optimisation costs.
+    """
+    both = min(settings.optim.lambda_lpips, settings.refine.lambda_lpips) > 0
+    return both and _may_leave_out(settings) and "refine" in settings.variant.stages
+
+
 def correction_decision(stage: str, settings: AvatarSettings, networks: Sequence[Decision]) -> Decision:
     """Returns whether a stage keeps pose corrections small: only where there are any."""
     part = "loss term correction" + ("" if stage == "optim" else f" in {stage}")
@@ -124,7 +133,7 @@ def may_leave_out_networks(settings: Settings) -> bool:
 
 
 def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings:
-    """Returns the settings without the distillation and networks that the plan leaves out: what training goes by."""
+    """Returns the settings without the terms and networks that the plan leaves out: what training goes by."""
     pose, can = (decision.used for decision in sds_decisions(settings, moments))
     refine_pose, learn_skinning = (decision.used for decision in network_decisions(settings, moments))
     sds = settings.optim.sds
@@ -132,6 +141,8 @@ def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings
         sds, lambda_pose=sds.lambda_pose if pose else 0.0, lambda_can=sds.lambda_can if can else 0.0
     )
     optim = replace(settings.optim, sds=sds, refine_pose=refine_pose, learn_skinning=learn_skinning)
+    if is_perceptual_term_deferred(settings):
+        optim = replace(optim, lambda_lpips=0.0)
     return replace(settings, optim=optim)
 
 
@@ -181,7 +192,7 @@ def with_everything(moments: Sequence[Moment]) -> list[Moment]:
 
 
 def _may_leave_out(settings: Settings) -> bool:
-    """Returns whether distillation may go, which other variants are there to show: in the whole system."""
+    """Returns whether parts may go that other variants are there to show: in the whole system, unless all is asked."""
     return settings.variant.name == "E" and settings.plan == "needed"
 
 

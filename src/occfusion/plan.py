@@ -13,6 +13,7 @@ from occfusion.needs import (
     correction_decision,
     generated_decision,
     inpainting_decision,
+    is_perceptual_term_deferred,
     mask_decision,
     network_decisions,
     sds_decisions,
@@ -39,7 +40,12 @@ def make_plan(
     plan.append(inpainting_decision(settings, moments))
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
-    plan += _term_decisions("optim", optim, ("rgb", "mask", "ssim", "lpips"))
+    plan += _term_decisions("optim", optim, ("rgb", "mask", "ssim"))
+    if is_perceptual_term_deferred(settings):
+        reason = f"optim.lambda_lpips = {optim.lambda_lpips:g}; the refinement that follows has it, and ends the same"
+        plan.append(Decision("loss term lpips", False, reason))
+    else:
+        plan += _term_decisions("optim", optim, ("lpips",))
     plan += sds_decisions(settings, moments)
     is_refined = any(decision.used and decision.part == "stage refine" for decision in plan)
     highest = refined_sh_degree(settings) if is_refined else reached_sh_degree(settings)

@@ -83,11 +83,15 @@ def test_distillation_where_masks_are_complete(
 
 
 def test_what_is_left_out_does_not_keep_results_apart() -> None:
-    """`E` without distillation optimises what `B` does, and may take it over."""
+    """`E` that asks for everything optimises what `D` does, and without distillation what `B` does: it may take that."""
     moments = frames(*[0.5] * 12)
-    whole, masks = (as_planned(settings_of(f"variant={v}"), moments) for v in "EB")
-    assert optim_hash(whole) == optim_hash(masks)
-    assert optim_hash(whole) != optim_hash(settings_of("variant=E"))
+    whole, distilled = (as_planned(settings_of(f"variant={v}", "plan=full"), moments) for v in "ED")
+    assert optim_hash(whole) == optim_hash(distilled)
+    needed, masks = (as_planned(settings_of(f"variant={v}", "refine.lambda_lpips=0"), moments) for v in "EB")
+    assert optim_hash(needed) == optim_hash(masks)
+    assert optim_hash(needed) != optim_hash(settings_of("variant=E"))
+    deferred = as_planned(settings_of("variant=E"), moments)  # its perceptual term comes in the refinement
+    assert optim_hash(deferred) != optim_hash(masks)
 
 
 def test_the_share_of_the_picture_is_measured() -> None:
@@ -99,3 +103,24 @@ def test_the_share_of_the_picture_is_measured() -> None:
     # the body's 20 x 24 px and 8 more on each side, of 100 x 50
     assert f"{36 * 40 / 5000:.0%}" in reason
     assert "rendered crops" in box_reason(None)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "built"),
+    [
+        ((), False),
+        (("stage=optim",), False),  # the refinement comes later
+        (("plan=full",), True),
+        (("variant=B",), True),
+        (("variant=D",), True),
+        (("refine.lambda_lpips=0",), True),
+        (("optim.lambda_lpips=0",), False),
+    ],
+)
+@pytest.mark.parametrize("moments", [frames(*[0.0] * 12), frames(*[0.0] * 4, *[0.5] * 8)])
+def test_the_optimisation_leaves_its_perceptual_term_to_the_refinement(
+    overrides: tuple[str, ...], built: bool, moments: list[Moment]
+) -> None:
+    settings = settings_of(*overrides)
+    assert used(settings, moments)["loss term lpips"] == built
+    assert (as_planned(settings, moments).optim.lambda_lpips > 0) == built
