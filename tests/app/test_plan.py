@@ -83,7 +83,7 @@ def test_distillation_where_masks_are_complete(
 
 
 def test_what_is_left_out_does_not_keep_results_apart() -> None:
-    """`E` that asks for everything optimises what `D` does, and without distillation what `B` does: it may take that."""
+    """`E` optimises what `D` does if asked for everything, without distillation what `B` does: it may take that."""
     moments = frames(*[0.5] * 12)
     whole, distilled = (as_planned(settings_of(f"variant={v}", "plan=full"), moments) for v in "ED")
     assert optim_hash(whole) == optim_hash(distilled)
