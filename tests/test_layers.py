@@ -22,6 +22,7 @@ LAYERS = [
     {"stages"},
     {
         "processes",
+        "threads",
         "config",
         "compose",
         "needs",
