@@ -48,17 +48,18 @@ class Splats:
 def project(request: Request) -> Splats:
     """Returns the splats that touch the crop, differentiable in every input of the request.
 
-    What is culled is found first, without gradient, and then left out: nothing that was divided by
-    a depth of zero is part of the graph.
+    Where some reach no pixel of the crop they are left out before anything is kept for the gradient: nothing that
+    was divided by a depth of zero, or grew beyond all numbers, is part of the graph.
     """
     with torch.no_grad():
         depths = request.means @ request.viewmat[2, :3] + request.viewmat[2, 3]
         index = (depths > request.near).nonzero().squeeze(1)
-        candidates = _project_rows(request, index)
-        index = index[touches(candidates, request.crop)]
-    return _project_rows(request, index)
+    candidates = _project_rows(request, index)
+    seen = touches(candidates, request.crop)
+    return candidates if bool(seen.all()) else _project_rows(request, index[seen])
 
 
+@torch.no_grad()
 def touches(splats: Splats, crop: tuple[int, int, int, int]) -> Tensor:
     """Returns which splats reach a pixel centre of the crop with alpha >= alpha_min, bool `[V]`."""
     x, y, width, height = crop

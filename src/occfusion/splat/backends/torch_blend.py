@@ -82,6 +82,7 @@ class Blended:
         u: first whitened coordinate.
         v: second whitened coordinate, the same for a whole row, `[B, L, S]`.
         alpha: as blended: capped, zero when dropped.
+        through: what the splats before let through one by one: 1, then 1 - alpha of the one before.
         transmittance: in front of each splat; zero once blending has stopped.
     """
 
@@ -90,6 +91,7 @@ class Blended:
     u: Tensor
     v: Tensor
     alpha: Tensor
+    through: Tensor
     transmittance: Tensor
 
 
@@ -111,12 +113,11 @@ def blend_chunk(chunk: Chunk, shapes: Tensor, limits: Limits, is_capped: bool) -
     torch.threshold_(alpha, limits.alpha_min, 0.0)
     if is_capped:
         alpha.clamp_(max=limits.alpha_max)
-    transmittance = torch.empty_like(alpha)
-    transmittance[:, 0] = 1
-    torch.sub(1, alpha[:, :-1], out=transmittance[:, 1:])
-    torch.cumprod(transmittance, dim=1, out=transmittance)
-    torch.threshold_(transmittance, limits.stop, 0.0)
-    return Blended(dx, dy, u, v, alpha, transmittance)
+    through = torch.empty_like(alpha)
+    through[:, 0] = 1
+    torch.sub(1, alpha[:, :-1], out=through[:, 1:])
+    transmittance = torch.threshold_(through.cumprod(dim=1), limits.stop, 0.0)
+    return Blended(dx, dy, u, v, alpha, through, transmittance)
 
 
 class Blend(torch.autograd.Function):
@@ -189,7 +190,7 @@ def _chunk_gradients(
     # summed from the back: total minus prefix would cancel for splats deep behind others
     from_here = weights.mul_(slopes).flip(1).cumsum_(1).flip(1)
     grad_alpha = transmittance.mul_(slopes)
-    grad_alpha[:, :-1].addcdiv_(from_here[:, 1:], alpha[:, :-1] - 1)
+    grad_alpha[:, :-1].addcdiv_(from_here[:, 1:], blended.through[:, 1:], value=-1)
     # d alpha / d power = alpha, and zero where alpha was dropped or capped
     grad_power = grad_alpha.mul_(alpha)
     if is_capped:
