@@ -13,7 +13,7 @@ from occfusion.config import Settings
 from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.human import Avatar
-from occfusion.inpaint.accumulation import accumulate
+from occfusion.inpaint.accumulation import accumulate, paint_unseen
 from occfusion.inpaint.partial import Inpainter
 from occfusion.inpaint.registry import make_inpainter
 from occfusion.inpaint.sources import CoarsePictures, TruthPictures
@@ -43,7 +43,7 @@ def make_references(
         settings: of the run.
         folder: the run folder.
         data: with the complete masks.
-        avatar: the coarse avatar.
+        avatar: the coarse avatar; what no frame shows of it is given the colours of what is seen nearby.
         moments: of all training frames.
         identity: what the references depend on besides the inpainter: hashes of data and avatar.
         backend: rasteriser backend.
@@ -63,12 +63,13 @@ def make_references(
     inpainter = _make_inpainter(settings, data, device)
     place, gen_pixels = folder / FOLDER, settings.refine.gen_pixels
     stage = InpaintStage(inpainter, avatar.eval(), moments, place, identity, backend, gen_pixels)
+    frames = (data.train_frame(k, truth=False) for k in range(len(moments)))
+    stage.accumulated = accumulate(avatar, frames, backend)
+    paint_unseen(avatar, stage.accumulated)
     wanted = stage.wanted
     if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
         wanted = [k for k in wanted if k == data.position_at(0)]
     if wanted:
-        frames = (data.train_frame(k, truth=False) for k in range(len(moments)))
-        stage.accumulated = accumulate(avatar, frames, backend)
         signal = predict_frames(stage, read, wanted, progress=settings.trainer.enable_progress_bar)
         if signal is not None and stage.wanted:
             raise Interrupted(signal, str(stage.folder))

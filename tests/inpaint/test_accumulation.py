@@ -8,7 +8,7 @@ import torch
 from torch.testing import assert_close
 
 from occfusion.human import Avatar
-from occfusion.inpaint.accumulation import ENOUGH, Accumulated, accumulate
+from occfusion.inpaint.accumulation import ENOUGH, Accumulated, accumulate, paint_unseen
 from occfusion.splat import rasterize
 from occfusion.types import Frame
 
@@ -82,3 +82,27 @@ def test_the_avatar_is_not_changed_and_grows_no_gradient(avatar: Avatar, make_fr
 def test_seen_grows_with_the_weight() -> None:
     seen = Accumulated(torch.zeros(3, 3), torch.tensor([0.0, ENOUGH, 1e6])).seen
     assert_close(seen, torch.tensor([0.0, 0.5, 1.0]), rtol=0, atol=1e-5)
+
+
+def test_what_nobody_saw_is_painted_and_what_was_seen_stays(avatar: Avatar, make_frame: MakeFrame) -> None:
+    """Weights of none, infinitely many and `ENOUGH` pixels: the nearby colour, the own one, and their mean."""
+    avatar.gaussians.allocate_bands(1)
+    avatar.active_sh_degree = 1
+    with torch.no_grad():
+        avatar.gaussians.sh_rest.normal_(generator=torch.Generator().manual_seed(4))
+    pose, count = make_frame(0).pose, avatar.gaussians.num_gaussians
+    centres = [torch.tensor([0.0, 0.0, -9.0]), torch.tensor([9.0, 1.0, 2.0])]
+    with torch.no_grad():
+        own = [avatar(pose, centre).colors for centre in centres]
+    nearby = torch.rand(count, 3, generator=torch.Generator().manual_seed(5)) * 0.2 + 0.4
+    weights = torch.tensor([0.0, 1e12, ENOUGH]).repeat(count)[:count]
+    paint_unseen(avatar, Accumulated(nearby, weights))
+    for centre, before in zip(centres, own, strict=True):
+        with torch.no_grad():
+            after = avatar(pose, centre).colors
+        assert_close(after[0::3], nearby[0::3])
+        assert_close(after[1::3], before[1::3])
+        inside = (before[2::3] > 0) & (after[2::3] > 0)  # colours below zero are cut off
+        assert inside.any()
+        assert_close(after[2::3][inside], (0.5 * (before + nearby))[2::3][inside])
+    assert not torch.equal(own[0], own[1]), "colours depend on the direction"

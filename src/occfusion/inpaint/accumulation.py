@@ -11,6 +11,7 @@ from torch import Tensor
 from occfusion.geometry.neighbours import nearest
 from occfusion.human.avatar import Avatar
 from occfusion.splat import rasterize
+from occfusion.splat.harmonics import SH_C0
 from occfusion.types import Frame
 
 ENOUGH = 4.0
@@ -70,6 +71,20 @@ def accumulate(avatar: Avatar, frames: Iterable[Frame], backend: str) -> Accumul
         sums += observed
     colors = sums / weights.clamp(min=1e-6)[:, None]
     return Accumulated(_with_neighbours(colors, weights, means), weights)
+
+
+@torch.no_grad()
+def paint_unseen(avatar: Avatar, accumulated: Accumulated) -> None:
+    """Gives what the video hardly shows the colour of what it shows nearby; changes the avatar's colours in place.
+
+    A Gaussian that no frame shows keeps the grey that it began with, which an inpainter takes for a part of the
+    person. What is well seen stays as it was learned; in between the two are mixed.
+    """
+    gaussians = avatar.gaussians
+    seen = accumulated.seen.to(gaussians.sh0)[:, None, None]
+    nearby = (accumulated.colors.to(gaussians.sh0) - 0.5) / SH_C0
+    gaussians.sh0.copy_(seen * gaussians.sh0 + (1.0 - seen) * nearby[:, None])
+    gaussians.sh_rest.mul_(seen)
 
 
 def _with_neighbours(colors: Tensor, weights: Tensor, means: Tensor) -> Tensor:

@@ -50,7 +50,9 @@ class InpaintStage(FramewiseStage):
         backend: str,
         gen_pixels: str,
     ) -> None:
-        super().__init__(folder, {**identity, "gen_pixels": gen_pixels, **inpainter.describe()})
+        super().__init__(
+            folder, {**identity, "gen_pixels": gen_pixels, "unseen": "painted", **inpainter.describe()}
+        )
         self._gen_pixels = gen_pixels
         # wrapped in tuples so that neither is part of this module's state
         self._inpainter, self._avatar = (inpainter,), (avatar,)
