@@ -89,7 +89,7 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
 
 
 def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
-    """Returns the decisions on pose refinement and the skinning network, in this order.
+    """Returns the decisions on pose refinement, corrections frame by frame, and the skinning network, in this order.
 
     They mend poses. All variants but the plain baseline leave them out where poses fit: the masks of the frames that
     show a whole person then show the person wherever the body model has it (docs/leaving_out.md has the figures).
@@ -97,6 +97,9 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
     optim = settings.optim
     decisions = [
         Decision("pose refinement", optim.refine_pose, f"optim.refine_pose = {optim.refine_pose}"),
+        Decision(
+            "pose corrections frame by frame", optim.pose_knots > 0, f"optim.pose_knots = {optim.pose_knots}"
+        ),
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
     whole = [moment for moment in moments or () if not moment.evidence.occluded]
@@ -120,7 +123,7 @@ def is_perceptual_term_deferred(settings: Settings) -> bool:
 def correction_decision(stage: str, settings: AvatarSettings, networks: Sequence[Decision]) -> Decision:
     """Returns whether a stage keeps pose corrections small: only where there are any."""
     part = "loss term correction" + ("" if stage == "optim" else f" in {stage}")
-    weight, are_corrected = settings.lambda_correction, networks[0].used
+    weight, are_corrected = settings.lambda_correction, networks[0].used or networks[1].used
     reason = f"{stage}.lambda_correction = {weight:g}" + ("" if are_corrected else "; no pose is corrected")
     return Decision(part, weight > 0 and are_corrected, reason)
 
@@ -128,19 +131,23 @@ def correction_decision(stage: str, settings: AvatarSettings, networks: Sequence
 def may_leave_out_networks(settings: Settings) -> bool:
     """Returns whether how well poses fit decides on pose refinement and the skinning network."""
     optim = settings.optim
-    asked = optim.refine_pose or optim.learn_skinning
+    asked = optim.refine_pose or optim.pose_knots > 0 or optim.learn_skinning
     return asked and settings.plan == "needed" and settings.variant.name != BASELINE
 
 
 def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings:
     """Returns the settings without the terms and networks that the plan leaves out: what training goes by."""
     pose, can = (decision.used for decision in sds_decisions(settings, moments))
-    refine_pose, learn_skinning = (decision.used for decision in network_decisions(settings, moments))
+    networks = network_decisions(settings, moments)
+    refine_pose, has_spline, learn_skinning = (decision.used for decision in networks)
     sds = settings.optim.sds
     sds = replace(
         sds, lambda_pose=sds.lambda_pose if pose else 0.0, lambda_can=sds.lambda_can if can else 0.0
     )
-    optim = replace(settings.optim, sds=sds, refine_pose=refine_pose, learn_skinning=learn_skinning)
+    pose_knots = settings.optim.pose_knots if has_spline else 0
+    optim = replace(
+        settings.optim, sds=sds, refine_pose=refine_pose, pose_knots=pose_knots, learn_skinning=learn_skinning
+    )
     if is_perceptual_term_deferred(settings):
         optim = replace(optim, lambda_lpips=0.0)
     return replace(settings, optim=optim)

@@ -12,7 +12,7 @@ from occfusion.compose import make_body, make_data
 from occfusion.config import Settings, stages_to_run
 from occfusion.data.module import HumanDataModule
 from occfusion.files.atomic import write_json
-from occfusion.human import Avatar
+from occfusion.human import Avatar, PoseSpline
 from occfusion.init_run import look_at_training_frames
 from occfusion.inpaint.registry import check_inpainter
 from occfusion.needs import Decision, as_planned, may_leave_out_networks, with_everything
@@ -95,6 +95,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         body,
         sh_degree=planning.reached_sh_degree(settings),
         refine_pose=optim.refine_pose,
+        pose_spline=PoseSpline.over(data.train_indices, optim.pose_knots) if optim.pose_knots else None,
         learn_skinning=optim.learn_skinning,
         skinning_every=optim.skinning_every,
         sh_frame=optim.sh_frame,

@@ -58,16 +58,21 @@ class Pose:
         global_orient: root rotation as axis-angle, `[3]`, radians.
         body_pose: the other 23 joints as axis-angles, `[69]`, radians.
         transl: translation, `[3]`, metres.
+        moment: number of the frame in the sequence that an avatar learns from, which corrections of that frame
+            go by; None for any other pose.
     """
 
     betas: Tensor
     global_orient: Tensor
     body_pose: Tensor
     transl: Tensor
+    moment: int | None = None
 
     def to(self, device: torch.device | str) -> Pose:
         """Returns the pose with its tensors on `device`."""
-        return Pose(*(t.to(device) for t in (self.betas, self.global_orient, self.body_pose, self.transl)))
+        parts = (self.betas, self.global_orient, self.body_pose, self.transl)
+        betas, global_orient, body_pose, transl = (part.to(device) for part in parts)
+        return Pose(betas, global_orient, body_pose, transl, self.moment)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,14 @@ from safetensors.torch import load_file
 from occfusion.stages.avatar import AvatarStage
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
-SHORT = ("variant=A", "optim.steps=6", "optim.rates.pose=0.01", "optim.lambda_lpips=0", "plan=full")
+SHORT = (
+    "variant=A",
+    "optim.steps=6",
+    "optim.rates.pose=0.01",
+    "optim.lambda_lpips=0",
+    "optim.pose_knots=0",
+    "plan=full",
+)
 
 
 def corrections(folder: Path) -> torch.Tensor:
@@ -54,6 +61,26 @@ def test_the_term_is_the_mean_squared_angle(train: Train, monkeypatch: pytest.Mo
     for angles, value in found:
         assert value == pytest.approx(sum(float(row @ row) for row in angles) / 23, rel=1e-5)
     assert found[-1][1] > found[0][1]
+
+
+def test_corrections_frame_by_frame_count_too(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[tuple[float, float]] = []
+    original = AvatarStage.correction
+
+    def watched(self: AvatarStage, frame: Any) -> dict[str, torch.Tensor]:
+        terms = original(self, frame)
+        assert self.avatar.pose_refiner is None and self.avatar.pose_spline is not None
+        turns = self.avatar.pose_spline.at(frame.pose.moment)[0].detach().double()
+        found.append((sum(float(row @ row) for row in turns) / 24, float(terms["correction"].detach())))
+        return terms
+
+    monkeypatch.setattr(AvatarStage, "correction", watched)
+    asked = ("optim.refine_pose=false", "optim.pose_knots=2", "optim.lambda_correction=1")
+    train(*SHORT, *asked, "optim.rates.pose_turns=0.01")
+    assert len(found) == 6
+    for wanted, value in found:
+        assert value == pytest.approx(wanted, rel=1e-5)
+    assert found[-1][1] > found[0][1] == 0.0
 
 
 @pytest.mark.parametrize("without", ["optim.lambda_correction=0", "optim.refine_pose=false"])

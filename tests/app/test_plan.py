@@ -49,8 +49,8 @@ def used(settings: Settings, moments: list[Moment] | None) -> dict[str, bool]:
         (("variant=D",), [0.0] * 12, False),
         (("variant=A",), [0.0] * 12, False),
         (("variant=A",), [0.02] * 12, True),
-        (("variant=gauhuman",), [0.0] * 12, True),
-        (("optim.refine_pose=false", "optim.learn_skinning=false"), [0.02] * 12, False),
+        (("variant=gauhuman", "optim.pose_knots=4"), [0.0] * 12, True),
+        (("optim.refine_pose=false", "optim.learn_skinning=false", "optim.pose_knots=0"), [0.02] * 12, False),
     ],
 )
 def test_networks_mend_poses_that_do_not_fit(
@@ -58,9 +58,16 @@ def test_networks_mend_poses_that_do_not_fit(
 ) -> None:
     settings, moments = settings_of(*overrides), frames(*shares)
     plan = used(settings, moments)
-    assert plan["pose refinement"] == plan["skinning network"] == mended
+    parts = ("pose refinement", "pose corrections frame by frame", "skinning network")
+    assert all(plan[part] == mended for part in parts)
     planned = as_planned(settings, moments).optim
-    assert planned.refine_pose == planned.learn_skinning == mended
+    assert planned.refine_pose == (planned.pose_knots > 0) == planned.learn_skinning == mended
+
+
+def test_the_plain_baseline_corrects_no_frame_by_itself() -> None:
+    settings = settings_of("variant=gauhuman")
+    assert settings.optim.pose_knots == 0
+    assert not used(settings, frames(*[0.02] * 12))["pose corrections frame by frame"]
 
 
 @pytest.mark.parametrize(

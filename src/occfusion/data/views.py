@@ -105,7 +105,8 @@ class Views:
         """Returns the same as tensors."""
         found = self.parameters(frame)
         parts = (found.betas, found.global_orient, found.body_pose, found.transl)
-        return Pose(*(torch.tensor(part, dtype=torch.float32) for part in parts))
+        betas, global_orient, body_pose, transl = (torch.tensor(part, dtype=torch.float32) for part in parts)
+        return Pose(betas, global_orient, body_pose, transl, frame)
 
     def _frame(self, packed: Packed, frame: int, camera: int, truth: bool) -> Frame:
         known = packed.truth() if truth else None

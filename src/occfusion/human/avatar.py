@@ -18,6 +18,7 @@ from occfusion.human.body import Body
 from occfusion.human.carry import Carried, blend_columns, carry
 from occfusion.human.deform import PoseRefiner, SkinningField, skinning_weights
 from occfusion.human.gaussians import Gaussians
+from occfusion.human.pose_spline import PoseSpline
 from occfusion.splat.harmonics import evaluate
 from occfusion.types import Cloud, Pose
 
@@ -47,7 +48,8 @@ class Avatar(nn.Module):
     Args:
         body: the body, of the kind that the poses are for.
         sh_degree: highest band of spherical harmonics that will be used; see `active_sh_degree`.
-        refine_pose: learn corrections of the body pose.
+        refine_pose: learn corrections of the body pose from the pose itself.
+        pose_spline: corrections of the frames of one sequence, learned too; None: none.
         learn_skinning: learn offsets to the skinning weights.
         skinning_every: the skinning network costs more than all else here, so in training it is evaluated,
             and learns, at every k-th step only (`prepare`); between, its last values stand. Without gradients
@@ -69,6 +71,7 @@ class Avatar(nn.Module):
         *,
         sh_degree: int = 3,
         refine_pose: bool = True,
+        pose_spline: PoseSpline | None = None,
         learn_skinning: bool = True,
         skinning_every: int = 4,
         sh_frame: str = "canonical",
@@ -82,6 +85,7 @@ class Avatar(nn.Module):
         self.body = body
         self.gaussians = Gaussians.on_body(body, sh_degree) if gaussians is None else gaussians
         self.pose_refiner = PoseRefiner() if refine_pose else None
+        self.pose_spline = pose_spline
         self.skinning_field = SkinningField() if learn_skinning else None
         self.skinning_every = skinning_every
         self.sh_frame = sh_frame
@@ -124,8 +128,8 @@ class Avatar(nn.Module):
 
         Args:
             rates: learning rates under `means`, `sh0`, `sh_rest`, `opacity`, `scales`, `quats`, `pose`,
-                `skinning`; others are ignored. The skinning network's is multiplied by `skinning_every`,
-                since Adam moves it that many times less often.
+                `pose_turns`, `pose_places`, `skinning`; others are ignored. The skinning network's is multiplied by
+                `skinning_every`, since Adam moves it that many times less often.
         """
         groups = [
             {"name": name, "params": [getattr(self.gaussians, attribute)], "lr": rates[name]}
@@ -136,6 +140,12 @@ class Avatar(nn.Module):
             groups.append(
                 {"name": "pose", "params": list(self.pose_refiner.parameters()), "lr": rates["pose"]}
             )
+        if self.pose_spline is not None:
+            for name, parameter in (
+                ("pose_turns", self.pose_spline.turns),
+                ("pose_places", self.pose_spline.places),
+            ):
+                groups.append({"name": name, "params": [parameter], "lr": rates[name]})
         if self.skinning_field is not None:
             rate = rates["skinning"] * self.skinning_every
             groups.append({"name": "skinning", "params": list(self.skinning_field.parameters()), "lr": rate})
@@ -167,18 +177,35 @@ class Avatar(nn.Module):
     def deform(self, pose: Pose) -> Carried:
         """Returns centres and covariances in a pose, world coordinates, without colours."""
         body, gaussians = self.body, self.gaussians
-        rotations = body.rotations(pose.global_orient, pose.body_pose)
-        if self.pose_refiner is not None:
-            rotations = self.pose_refiner(pose.body_pose.reshape(-1).to(gaussians.means), rotations)
+        rotations, transl = self._corrected(pose)
         betas = body.check_betas(pose.betas)
         joints = body.joint_template + body.joint_dirs[:, :, : len(betas)] @ betas
         transforms = bone_transforms(rotations, joints, body.parents)
         binding = self._binding()
-        posed_maps = blend_columns(binding.weights, transforms, pose.transl.to(gaussians.means))
+        posed_maps = blend_columns(binding.weights, transforms, transl)
         offsets = self._offsets(betas, rotations)
         return carry(
             gaussians.means, gaussians.raw_quats, gaussians.scales, binding.rest_maps, offsets, posed_maps
         )
+
+    def _corrected(self, pose: Pose) -> tuple[Tensor, Tensor]:
+        """Returns the joint rotations `[24, 3, 3]` and the translation `[3]` after all corrections."""
+        rotations = self.body.rotations(pose.global_orient, pose.body_pose)
+        transl = pose.transl.to(self.gaussians.means)
+        if self.pose_refiner is not None:
+            rotations = self.pose_refiner(pose.body_pose.reshape(-1).to(transl), rotations)
+        if self.pose_spline is not None and pose.moment is not None:
+            rotations, transl = self.pose_spline(pose.moment, rotations, transl)
+        return rotations, transl
+
+    def corrections(self, pose: Pose) -> list[Tensor]:
+        """Returns the axis-angles that correct a pose, radians: the network's `[23, 3]`, then the frame's `[24, 3]`."""
+        angles = []
+        if self.pose_refiner is not None:
+            angles.append(self.pose_refiner.corrections(pose.body_pose.reshape(-1).to(self.gaussians.means)))
+        if self.pose_spline is not None and pose.moment is not None:
+            angles.append(self.pose_spline.at(pose.moment)[0])
+        return angles
 
     def canonical(self, camera_centre: Tensor, angle: float = 0.0) -> Cloud:
         """Returns the Gaussians in the Da pose around their own origin; the centres are the parameters.

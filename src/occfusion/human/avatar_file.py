@@ -16,6 +16,7 @@ from occfusion.files.ply import SplatTable, write_ply
 from occfusion.human.avatar import Avatar
 from occfusion.human.body import Body
 from occfusion.human.gaussians import PARAMETERS, Gaussians
+from occfusion.human.pose_spline import PoseSpline
 
 FORMAT = "occfusion avatar"
 VERSION = 1
@@ -38,6 +39,7 @@ def save_avatar(path: Path | str, avatar: Avatar) -> None:
         "active_sh_degree": avatar.active_sh_degree,
         "sh_frame": avatar.sh_frame,
         "refine_pose": avatar.pose_refiner is not None,
+        "pose_spline": _spline_description(avatar.pose_spline),
         "learn_skinning": avatar.skinning_field is not None,
         "skinning_every": avatar.skinning_every,
     }
@@ -47,6 +49,12 @@ def save_avatar(path: Path | str, avatar: Avatar) -> None:
         if name not in _KEPT_FOR_TRAINING
     }
     write_bytes(path, save(tensors, metadata={"avatar": json.dumps(description)}))
+
+
+def _spline_description(spline: PoseSpline | None) -> dict[str, float] | None:
+    return (
+        None if spline is None else {"first": spline.first, "spacing": spline.spacing, "knots": spline.knots}
+    )
 
 
 def load_avatar(path: Path | str, body: Body) -> Avatar:
@@ -100,9 +108,12 @@ def _description(path: Path, metadata: dict[str, str] | None) -> dict[str, Any]:
 
 def _empty_avatar(body: Body, description: dict[str, Any]) -> Avatar:
     start = body.v_template.new_zeros(0, 3)
+    spline = description.get("pose_spline")  # absent from files that are older than it
     return Avatar(
         body,
         refine_pose=bool(description["refine_pose"]),
+        pose_spline=spline
+        and PoseSpline(float(spline["first"]), float(spline["spacing"]), int(spline["knots"])),
         learn_skinning=bool(description["learn_skinning"]),
         skinning_every=int(description["skinning_every"]),
         sh_frame=str(description["sh_frame"]),

@@ -129,14 +129,14 @@ class AvatarStage(Stage):
     def correction(self, frame: Frame) -> dict[str, Tensor]:
         """Returns the term that keeps pose corrections small: the mean over joints of the squared angle, radians.
 
+        Of the network's corrections and of those frame by frame, added.
         What is hidden of a person says nothing of its pose; without this term corrections that mend what is seen turn
         hidden limbs anywhere. Empty without a weight or without corrections.
         """
-        refiner = self.avatar.pose_refiner
-        if refiner is None or not self._schedule.lambda_correction:
+        if not self._schedule.lambda_correction:
             return {}
-        angles = refiner.corrections(frame.pose.body_pose.reshape(-1).to(self.avatar.gaussians.means))
-        return {"correction": angles.square().sum(dim=-1).mean()}
+        squared = [angles.square().sum(dim=-1).mean() for angles in self.avatar.corrections(frame.pose)]
+        return {"correction": torch.stack(squared).sum()} if squared else {}
 
     # -- optimiser, schedules, densification ------------------------------------------------------------------
 

@@ -9,7 +9,10 @@ from occfusion.human.densify import Densification
 
 @dataclass
 class RateSettings:
-    """Adam's learning rates by parameter group (GauHuman)."""
+    """Adam's learning rates by parameter group (GauHuman).
+
+    `pose` is of the network, `pose_turns` and `pose_places` of the corrections frame by frame, radians and metres.
+    """
 
     means: float = 1.6e-4
     means_final: float = 1.6e-6
@@ -19,6 +22,8 @@ class RateSettings:
     scales: float = 5e-2
     quats: float = 1e-3
     pose: float = 3e-4
+    pose_turns: float = 2e-4
+    pose_places: float = 6e-5
     skinning: float = 5e-5
 
 
@@ -148,7 +153,17 @@ class AvatarSettings:
 
 @dataclass
 class OptimSettings(AvatarSettings):
-    """The optimisation stage (paper §4.2)."""
+    """The optimisation stage (paper §4.2).
+
+    Attributes:
+        pixels: `visible`: the paper's M; `all`: the whole crop.
+        sh_frame: see `Avatar`.
+        refine_pose: GauHuman's network of pose corrections.
+        pose_knots: training frames from one knot to the next of the corrections frame by frame; 0: none.
+        learn_skinning: GauHuman's network of skinning weights.
+        skinning_every: steps from one evaluation of it to the next.
+        sds: score distillation.
+    """
 
     pixels: str = "visible"
     lambda_rgb: float = 1e4
@@ -157,6 +172,7 @@ class OptimSettings(AvatarSettings):
     lambda_lpips: float = 1e3
     sh_frame: str = "canonical"
     refine_pose: bool = True
+    pose_knots: int = 4
     learn_skinning: bool = True
     skinning_every: int = 4
     sds: SdsSettings = field(default_factory=SdsSettings)

@@ -1,0 +1,86 @@
+"""Corrections of a sequence's poses frame by frame: what an estimator got wrong, as smooth functions of time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from occfusion.files.bodyfile import NUM_JOINTS
+from occfusion.geometry.rotation import axis_angle_to_matrix
+
+ROUNDING = 1e-9
+"""Of a place counted in knots: the last frame belongs to the range whatever a division makes of it."""
+
+
+class PoseSpline(nn.Module):
+    """Turns of all 24 joints and a shift of the whole body along a sequence, uniform cubic B-splines.
+
+    `PoseRefiner` corrects a pose by what the pose is, so that it serves poses of other sequences too; the errors of
+    an estimator, though, belong to frames, wander from one to the next, and have the root's among them. A spline
+    starts at no correction at all, is twice continuously differentiable, and lets frames that show a limb speak for
+    their neighbours that do not. Frames outside its range are left as given.
+
+    Args:
+        first: number of the first frame of the range.
+        spacing: frames between two knots.
+        knots: how many, at least 4; the range is `knots - 3` spacings long.
+    """
+
+    def __init__(self, first: float, spacing: float, knots: int) -> None:
+        super().__init__()
+        if not spacing > 0 or knots < 4:
+            raise ValueError(
+                f"a cubic spline needs 4 knots and a positive spacing, got {knots} and {spacing:g}"
+            )
+        self.first = first
+        self.spacing = spacing
+        self.turns = nn.Parameter(torch.zeros(knots, NUM_JOINTS, 3))
+        self.places = nn.Parameter(torch.zeros(knots, 3))
+
+    @classmethod
+    def over(cls, frames: Sequence[int], every: int) -> PoseSpline:
+        """Returns the spline whose range is exactly that of `frames`, with a knot for about every `every`-th of them.
+
+        Args:
+            frames: numbers of the frames that are trained on, ascending, at least one.
+            every: frames of that list from one knot to the next.
+        """
+        pieces = max(math.ceil((len(frames) - 1) / every), 1)
+        return cls(frames[0], (frames[-1] - frames[0]) / pieces or 1.0, pieces + 3)
+
+    @property
+    def knots(self) -> int:
+        """How many knots there are."""
+        return len(self.turns)
+
+    def covers(self, moment: int) -> bool:
+        """Returns whether a frame lies in the range."""
+        return 0.0 <= (moment - self.first) / self.spacing <= self.knots - 3 + ROUNDING
+
+    def at(self, moment: int) -> tuple[Tensor, Tensor]:
+        """Returns the turns as axis-angles `[24, 3]`, radians, and the shift `[3]`, metres; zeros outside the range."""
+        if not self.covers(moment):
+            return torch.zeros_like(self.turns[0]), torch.zeros_like(self.places[0])
+        place = (moment - self.first) / self.spacing
+        start = min(int(place), self.knots - 4)  # the end of the range belongs to the last piece
+        u = place - start
+        weights = self.turns.new_tensor(
+            [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3]
+        ).div(6)
+        return weights @ self.turns[start : start + 4].transpose(0, 1), weights @ self.places[
+            start : start + 4
+        ]
+
+    def forward(self, moment: int, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns rotations with the turns multiplied from the right, and the translation with the shift added.
+
+        Args:
+            moment: number of the frame.
+            rotations: of the joints, `[24, 3, 3]`.
+            transl: of the body, `[3]`, metres.
+        """
+        turns, shift = self.at(moment)
+        return rotations @ axis_angle_to_matrix(turns), transl + shift
