@@ -35,6 +35,7 @@ from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.settings import AvatarSettings, SdsSettings
+from occfusion.stages.targets import Backgrounds
 
 WARM_UP_SAID = 0.05
 """Seconds from which on the user is told of the rasteriser's warming up."""
@@ -164,10 +165,18 @@ def _optim_stage(run_: Run) -> tuple[AvatarStage, float]:
         perceptual=run_.perceptual if settings.optim.lambda_lpips else None,
         densifier=_make_densifier(settings.optim, settings.optim.lambda_rgb),
         distiller=_make_distiller(run_),
+        backgrounds=_backgrounds(run_),
         backend=run_.backend,
         seed=settings.seed,
     )
     return stage, 0.0
+
+
+def _backgrounds(run_: Run) -> Backgrounds:
+    """Returns what of the occluded frames is background, where the video was asked."""
+    return {
+        moment.frame: moment.evidence.background for moment in run_.moments or () if moment.evidence.occluded
+    }
 
 
 def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
@@ -190,6 +199,7 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
         run_.avatar,
         refine,
         references,
+        _backgrounds(run_),
         perceptual=run_.perceptual if refine.lambda_lpips else None,
         densifier=_make_densifier(refine, refine.lambda_rgb),
         backend=run_.backend,

@@ -24,14 +24,23 @@ def l1(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
     return masked_mean((a - b).abs(), mask)
 
 
-def l2(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
+def l2(a: Tensor, b: Tensor, mask: Tensor | None = None, weights: Tensor | None = None) -> Tensor:
     """Returns the mean squared difference over the pixels of `mask` and all channels, a scalar.
 
     The paper's second term of L_photo (§4.2): the occupancy map A against the complete mask. Arguments as
-    `l1`.
+    `l1`, and:
+
+    Args:
+        a: see `l1`.
+        b: see `l1`.
+        mask: see `l1`.
+        weights: factors on the squares, of the same shape; the count that they are divided by stays. None: all 1.
     """
     _check_shapes(a, b, mask)
-    return masked_mean((a - b).square(), mask)
+    squares = (a - b).square()
+    if weights is not None:
+        squares = torch.where(weights != 0, squares * weights, 0.0)
+    return masked_mean(squares, mask)
 
 
 def ssim_loss(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:

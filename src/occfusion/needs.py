@@ -148,6 +148,7 @@ def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings
     optim = replace(
         settings.optim, sds=sds, refine_pose=refine_pose, pose_knots=pose_knots, learn_skinning=learn_skinning
     )
+    optim = replace(optim, mask_hidden=_hidden_mask_weight(settings))
     if is_perceptual_term_deferred(settings):
         optim = replace(optim, lambda_lpips=0.0)
     return replace(settings, optim=optim)
@@ -160,6 +161,25 @@ def generated_decision(settings: Settings, moments: Sequence[Moment] | None) -> 
     if moments is not None and not _occluded(moments):
         used, reason = False, f"{reason}; {_hidden_reason(moments)}"
     return Decision("loss term gen in refine", used, reason)
+
+
+def hidden_mask_decision(stage: str, settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+    """Returns whether the mask term counts fully on hidden pixels: what is there, other frames may tell better."""
+    weight = _hidden_mask_weight(settings) if stage == "optim" else settings.refine.mask_hidden
+    part = "full mask term on hidden pixels" + ("" if stage == "optim" else f" in {stage}")
+    reason = f"it counts {weight:g} there"
+    if weight < getattr(settings, stage).mask_hidden:
+        reason += ", as in the refinement that follows"
+    if moments is not None and not _occluded(moments):
+        return Decision(part, False, _hidden_reason(moments))
+    return Decision(part, weight == 1.0, reason)
+
+
+def _hidden_mask_weight(settings: Settings) -> float:
+    """Returns the optimisation's; the whole system begins with that of its refinement (docs/refinement.md)."""
+    own = settings.optim.mask_hidden
+    is_whole = _may_leave_out(settings) and "refine" in settings.variant.stages
+    return min(own, settings.refine.mask_hidden) if is_whole else own
 
 
 def box_reason(moments: Sequence[Moment] | None) -> str:

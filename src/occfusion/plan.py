@@ -12,6 +12,7 @@ from occfusion.needs import (
     box_reason,
     correction_decision,
     generated_decision,
+    hidden_mask_decision,
     inpainting_decision,
     is_perceptual_term_deferred,
     mask_decision,
@@ -41,6 +42,7 @@ def make_plan(
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
     plan += _term_decisions("optim", optim, ("rgb", "mask", "ssim"))
+    plan.append(hidden_mask_decision("optim", settings, moments))
     if is_perceptual_term_deferred(settings):
         reason = f"optim.lambda_lpips = {optim.lambda_lpips:g}; the refinement that follows has it, and ends the same"
         plan.append(Decision("loss term lpips", False, reason))
@@ -60,6 +62,7 @@ def make_plan(
     if is_refined:
         refine = settings.refine
         plan += _term_decisions("refine", refine, ("rgb", "mask"))
+        plan.append(hidden_mask_decision("refine", settings, moments))
         plan.append(generated_decision(settings, moments))
         plan += _term_decisions("refine", refine, ("ssim", "lpips"))
         plan.append(correction_decision("refine", refine, networks))

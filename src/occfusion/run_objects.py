@@ -69,7 +69,8 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     summary = data.summary()
     backend = resolve_backend(settings.rasterizer.name, device_of(settings), torch.float32)
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
-    are_frames_judged = is_prior_asked or may_leave_out_networks(settings)
+    is_hidden_weighed = settings.optim.mask_hidden < 1.0
+    are_frames_judged = is_prior_asked or may_leave_out_networks(settings) or is_hidden_weighed
     moments = look_at_training_frames(data, body) if are_frames_judged else None
     if moments is not None and settings.plan == "full":
         moments = with_everything(moments)

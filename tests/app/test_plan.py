@@ -94,7 +94,8 @@ def test_what_is_left_out_does_not_keep_results_apart() -> None:
     moments = frames(*[0.5] * 12)
     whole, distilled = (as_planned(settings_of(f"variant={v}", "plan=full"), moments) for v in "ED")
     assert optim_hash(whole) == optim_hash(distilled)
-    needed, masks = (as_planned(settings_of(f"variant={v}", "refine.lambda_lpips=0"), moments) for v in "EB")
+    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1")
+    needed, masks = (as_planned(settings_of(f"variant={v}", *alike), moments) for v in "EB")
     assert optim_hash(needed) == optim_hash(masks)
     assert optim_hash(needed) != optim_hash(settings_of("variant=E"))
     deferred = as_planned(settings_of("variant=E"), moments)  # its perceptual term comes in the refinement
@@ -131,3 +132,19 @@ def test_the_optimisation_leaves_its_perceptual_term_to_the_refinement(
     settings = settings_of(*overrides)
     assert used(settings, moments)["loss term lpips"] == built
     assert (as_planned(settings, moments).optim.lambda_lpips > 0) == built
+
+
+def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
+    occluded = frames(*[0.5] * 8, *[0.0] * 4)
+    for variant, plan, weight in (
+        ("E", "needed", 0.0),
+        ("E", "full", 1.0),
+        ("B", "needed", 1.0),
+        ("D", "needed", 1.0),
+    ):
+        settings = settings_of(f"variant={variant}", f"plan={plan}")
+        assert as_planned(settings, occluded).optim.mask_hidden == weight
+        assert used(settings, occluded)["full mask term on hidden pixels"] == (weight == 1.0)
+    weighed = settings_of("refine.mask_hidden=0.5", "optim.mask_hidden=0.25")
+    assert as_planned(weighed, occluded).optim.mask_hidden == 0.25
+    assert not used(settings_of("variant=B"), frames(*[0.0] * 12))["full mask term on hidden pixels"]

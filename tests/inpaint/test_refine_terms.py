@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,13 +58,18 @@ def references(tmp_path: Path) -> References:
     return References(tmp_path, frozenset({7}))
 
 
+def stage_of(references: References, **settings: Any) -> RefineStage:
+    """A stage that takes `ELSEWHERE` of frame 7 for background, and whose other settings cost nothing."""
+    chosen = RefineSettings(lambda_lpips=0.0, densify=False, **settings)
+    return RefineStage(
+        Avatar(embedded_body()), chosen, references, {7: mask_of(ELSEWHERE).numpy()}, perceptual=None,
+        densifier=None, backend="torch", seed=0, steps_before=0,
+    )  # fmt: skip
+
+
 def gradients(frame: Frame, references: References, lpips_pixels: str) -> dict[str, Tensor]:
     """Returns where each term's gradient by the rendered colours is not zero."""
-    settings = RefineSettings(lpips_pixels=lpips_pixels, lambda_lpips=0.0, densify=False)
-    stage = RefineStage(
-        Avatar(embedded_body()), settings, references, perceptual=None, densifier=None, backend="torch", seed=0,
-        steps_before=0,
-    )  # fmt: skip
+    stage = stage_of(references, lpips_pixels=lpips_pixels)
     rgb = torch.rand(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
     alpha = torch.full((SIZE, SIZE), 0.5)
     rendering = Rendering(rgb, alpha, torch.zeros(SIZE, SIZE), torch.zeros(0, 2))
@@ -93,6 +99,27 @@ def test_a_frame_without_a_reference_has_no_generated_term(frame: Frame, referen
     found = gradients(other, references, "all")
     assert "gen" not in found
     assert not found["ssim"][~mask_of(SEEN)].any()
+
+
+@pytest.mark.parametrize("hidden", [0.0, 0.25, 1.0])
+def test_mask_term_counts_what_is_neither_seen_nor_background_as_asked(
+    frame: Frame, references: References, hidden: float
+) -> None:
+    alpha = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    rendering = Rendering(torch.zeros(SIZE, SIZE, 3), alpha, torch.zeros(SIZE, SIZE), torch.zeros(0, 2))
+    for index, weight in ((7, hidden), (8, 1.0)):  # nothing is hidden in frame 8
+        other = dataclasses.replace(frame, index=index)
+        term = stage_of(references, mask_hidden=hidden).terms(other, rendering, BOX)["mask"]
+        (found,) = torch.autograd.grad(term, alpha)
+        target = (mask_of(SEEN) | mask_of(PAINTED)).float()
+        weights = torch.full((SIZE, SIZE), weight)
+        weights[SEEN] = weights[ELSEWHERE] = 1.0
+        wanted = sum(
+            float(w * (a - t) ** 2)
+            for w, a, t in zip(*(x.flatten() for x in (weights, alpha.detach(), target)), strict=True)
+        )
+        assert float(term) == pytest.approx(wanted / SIZE**2, rel=1e-5)
+        torch.testing.assert_close(found, 2 * weights * (alpha - target).detach() / SIZE**2)
 
 
 def test_unseen_is_what_the_video_shows_little_of() -> None:

@@ -14,7 +14,7 @@ from occfusion.perceptual import PerceptualMetric
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.distil import Distiller
 from occfusion.stages.settings import OptimSettings
-from occfusion.stages.targets import Target, crop_frame
+from occfusion.stages.targets import Backgrounds, Target, crop_frame, mask_weights
 from occfusion.types import Box, Frame, Rendering
 
 
@@ -29,6 +29,7 @@ class OptimStage(AvatarStage):
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
         densifier: densification; None exactly when `settings.densify` is false.
         distiller: score distillation; None where none of its terms has a weight.
+        backgrounds: what of the occluded frames is background; asked only where `settings.mask_hidden` is not 1.
         backend: rasteriser backend.
         seed: decides the perceptual crops, step by step.
     """
@@ -43,6 +44,7 @@ class OptimStage(AvatarStage):
         perceptual: PerceptualMetric | None,
         densifier: Densifier | None,
         distiller: Distiller[Any] | None = None,
+        backgrounds: Backgrounds | None = None,
         backend: str,
         seed: int,
     ) -> None:
@@ -51,15 +53,17 @@ class OptimStage(AvatarStage):
         )
         self.settings = settings
         self.distiller = distiller
+        self.backgrounds = backgrounds or {}
 
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.2: photometric ones and, with a distiller, that of the prior."""
-        terms = self._photometric(rendering, crop_frame(frame, box)) | self.correction(frame)
+        weights = mask_weights(frame, box, self.backgrounds, self.settings.mask_hidden)
+        terms = self._photometric(rendering, crop_frame(frame, box), weights) | self.correction(frame)
         if self.distiller is not None:
             terms |= self.distiller.terms(self.avatar, frame, rendering.alpha, box, self.global_step)
         return terms
 
-    def _photometric(self, rendering: Rendering, target: Target) -> dict[str, Tensor]:
+    def _photometric(self, rendering: Rendering, target: Target, weights: Tensor | None) -> dict[str, Tensor]:
         settings = self.settings
         everywhere = settings.pixels == "all"
         pixels = ones_like(target.visible_mask) if everywhere else target.visible_mask
@@ -68,7 +72,7 @@ class OptimStage(AvatarStage):
         if settings.lambda_rgb:
             terms["rgb"] = losses.l1(rgb, target.rgb, pixels)
         if settings.lambda_mask:
-            terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rgb.dtype))
+            terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rgb.dtype), weights=weights)
         if settings.lambda_ssim:
             terms["ssim"] = losses.ssim_loss(rgb, target.rgb, pixels)
         if (perceptual := self.perceptual_due()) is not None:

@@ -12,7 +12,7 @@ from occfusion.perceptual import PerceptualMetric
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.references import References
 from occfusion.stages.settings import RefineSettings
-from occfusion.stages.targets import crop_frame
+from occfusion.stages.targets import Backgrounds, crop_frame, mask_weights
 from occfusion.types import Box, Frame, Rendering
 
 
@@ -23,6 +23,7 @@ class RefineStage(AvatarStage):
         avatar: the avatar of the optimisation stage, trained on in place.
         settings: weights, schedules and rates.
         references: the inpainted frames; a frame without one shows the whole person.
+        backgrounds: what of the occluded frames is background.
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
         densifier: densification; None exactly when `settings.densify` is false.
         backend: rasteriser backend.
@@ -37,6 +38,7 @@ class RefineStage(AvatarStage):
         avatar: Avatar,
         settings: RefineSettings,
         references: References,
+        backgrounds: Backgrounds,
         *,
         perceptual: PerceptualMetric | None,
         densifier: Densifier | None,
@@ -50,9 +52,13 @@ class RefineStage(AvatarStage):
         )  # fmt: skip
         self.settings = settings
         self.references = references
+        self.backgrounds = backgrounds
 
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
-        """Returns the terms of paper §4.3: L1 on M, L2 of the occupancy, L1 on R, and the perceptual one."""
+        """Returns the terms of paper §4.3: L1 on M, L2 of the occupancy, L1 on R, and the perceptual one.
+
+        `mask_hidden` decides how much L2 counts where neither the person nor background is seen.
+        """
         settings, target = self.settings, crop_frame(frame, box)
         reference = self.references.get(frame, box)
         wanted, looked_at = target.rgb, target.visible_mask
@@ -63,7 +69,8 @@ class RefineStage(AvatarStage):
         if settings.lambda_rgb:
             terms["rgb"] = losses.l1(rgb, target.rgb, target.visible_mask)
         if settings.lambda_mask:
-            terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rgb.dtype))
+            weights = mask_weights(frame, box, self.backgrounds, settings.mask_hidden)
+            terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rgb.dtype), weights=weights)
         if settings.lambda_gen and reference is not None:
             terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)
         shown, wanted = (

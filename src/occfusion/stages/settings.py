@@ -157,6 +157,7 @@ class OptimSettings(AvatarSettings):
 
     Attributes:
         pixels: `visible`: the paper's M; `all`: the whole crop.
+        mask_hidden: weight of the mask term on pixels that are neither seen nor background, 0..1; the paper: 1.
         sh_frame: see `Avatar`.
         refine_pose: GauHuman's network of pose corrections.
         pose_knots: training frames from one knot to the next of the corrections frame by frame; 0: none.
@@ -166,6 +167,7 @@ class OptimSettings(AvatarSettings):
     """
 
     pixels: str = "visible"
+    mask_hidden: float = 1.0
     lambda_rgb: float = 1e4
     lambda_mask: float = 2e4
     lambda_ssim: float = 1e3
@@ -185,6 +187,7 @@ class RefineSettings(AvatarSettings):
     Attributes:
         source: of the references: `prior`; `coarse`: the coarse rendering itself, to see what inpainting adds;
             `truth`: the data set's own complete pictures, an upper bound for synthetic scenes.
+        mask_hidden: weight of the mask term on pixels that are neither seen nor background, 0..1; the paper: 1.
         gen_pixels: where references count: `unseen`: where the paper's R shows what no frame of the video does;
             `hidden`: in all of R.
         lpips_pixels: what the SSIM and perceptual terms look at: `visible`; `all`: at those pixels of the
@@ -192,6 +195,7 @@ class RefineSettings(AvatarSettings):
     """
 
     source: str = "prior"
+    mask_hidden: float = 0.0
     gen_pixels: str = "unseen"
     lpips_pixels: str = "visible"
     steps: int = 1200

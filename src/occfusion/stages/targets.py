@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.geometry.boxes import crop
@@ -23,6 +27,30 @@ class Target:
     rgb: Tensor
     visible_mask: Tensor
     mask: Tensor
+
+
+Backgrounds = Mapping[int, NDArray[np.bool_]]
+"""By the numbers of the frames whose person is occluded: pixels taken for background, bool `[H, W]`."""
+
+
+def mask_weights(frame: Frame, box: Box, backgrounds: Backgrounds, hidden: float) -> Tensor | None:
+    """Returns how much each pixel of the window `box` counts in the mask term, `[h, w]`; None where all count fully.
+
+    What is neither seen nor background has its place in a complete mask from a prior and a pose that may be off by
+    more than the avatar is, which other frames show whole.
+
+    Args:
+        frame: a training frame.
+        box: a window of it.
+        backgrounds: of the occluded frames.
+        hidden: weight of what is neither seen nor background.
+    """
+    background = backgrounds.get(frame.index)
+    if background is None or hidden == 1.0:
+        return None
+    seen = crop(frame.visible_mask, box)
+    known = seen | crop(torch.from_numpy(background), box).to(seen.device)
+    return torch.where(known, 1.0, hidden)
 
 
 def crop_frame(frame: Frame, box: Box) -> Target:
