@@ -66,8 +66,12 @@ def test_the_whole_system_leaves_it_out_where_masks_are_complete(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Then `E` goes on from the very avatar of `B`; `plan=full`, or a frame that shows little, brings it back."""
-    refine = ("variant=E", SHORT, "refine.steps=1", "refine.lambda_lpips=0", "refine.source=coarse")
+    """Then `E` goes on from the very avatar of `B`; `plan=full`, or a frame that shows little, brings it back.
+
+    As long as both its stages have the terms of `B`: neither deferred perceptual ones nor masks that count less.
+    """
+    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1")
+    refine = ("variant=E", SHORT, "refine.steps=1", "refine.source=coarse", *alike)
     train("variant=B", SHORT, folder="b")
     with monkeypatch.context() as patch:
         patch.setattr(run_objects, "check_score_prior", lambda *_: pytest.fail("it is not needed"))
