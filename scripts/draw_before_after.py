@@ -1,9 +1,9 @@
 """Draws what each part of the system adds: input, `A`, `D`, `E`, truth.
 
-    python scripts/draw_before_after.py OUTPUT.png RUN_OF_A RUN_OF_E [RUN_OF_A RUN_OF_E ...]
+    python scripts/draw_before_after.py OUTPUT.png RUN_OF_A RUN_OF_D RUN_OF_E [...]
 
-Runs of the same scene in pairs; a run of `E` holds the avatar of `D` as its optimisation stage. For each pair
-one training frame, cut to the person, and one held-out view (with no input).
+Runs of the same scene in threes. For each three one training frame, cut to the person, and one held-out view
+(with no input).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from occfusion.compose import make_body, make_data
 from occfusion.data.handful import held_out_handful, training_handful
 from occfusion.files.atomic import write_png
-from occfusion.human import Avatar, load_avatar
+from occfusion.human import Avatar
 from occfusion.pictures import captioned, to_uint8
 from occfusion.render import render_frame
 from occfusion.runs import load_run
@@ -32,12 +32,12 @@ HEIGHT = 300
 def main(output: Path, runs: list[Path]) -> None:
     """Writes the picture."""
     rows = []
-    for run_a, run_e in zip(runs[::2], runs[1::2], strict=True):
-        refined = load_run(run_e)
-        data = make_data(refined.settings, make_body(refined.settings.body))
+    for three in zip(runs[::3], runs[1::3], runs[2::3], strict=True):
+        loaded = [load_run(run) for run in three]
+        settings = loaded[-1].settings
+        data = make_data(settings, make_body(settings.body))
         data.setup()
-        coarse = load_avatar(run_e / "optim" / "avatar.safetensors", refined.avatar.body)
-        avatars = [load_run(run_a).avatar, coarse, refined.avatar]
+        avatars = [run.avatar for run in loaded]
         rows.append(draw_row(training_handful(data, 5)[1], avatars, True))
         rows.append(draw_row(held_out_handful(data, 9)[4], avatars, False))
     width = max(row.shape[1] for row in rows)
