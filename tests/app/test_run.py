@@ -163,9 +163,9 @@ def test_non_finite_loss_stops_and_keeps_the_last_good_state(
 
     original, calls = losses.l2, []
 
-    def fails_at_the_third(*args: Any) -> torch.Tensor:
+    def fails_at_the_third(*args: Any, **options: Any) -> torch.Tensor:
         calls.append(1)
-        value: torch.Tensor = original(*args)
+        value: torch.Tensor = original(*args, **options)
         return value * float("nan") if len(calls) == 3 else value
 
     monkeypatch.setattr(losses, "l2", fails_at_the_third)
