@@ -98,6 +98,7 @@ def test_the_optimisation_of_d_serves_e(train: Train, monkeypatch: pytest.Monkey
         *common,
         "optim.sds.lambda_pose=0",
         "optim.sds.lambda_can=0",
+        "refine.mask_hidden=1",
     )  # weights alike, whatever they are
     d, first = train("variant=D", *common, folder="d")
     trained: list[str] = []

@@ -25,17 +25,6 @@ from occfusion.types import Cloud, Pose
 ShFrame = Literal["canonical", "world"]
 SH_FRAMES: tuple[ShFrame, ...] = ("canonical", "world")
 
-GROUPS = {
-    "means": "means",
-    "sh0": "sh0",
-    "sh_rest": "sh_rest",
-    "opacity": "opacity_logits",
-    "scales": "log_scales",
-    "quats": "raw_quats",
-}
-"""Optimiser groups of the Gaussians, by the name of the parameter in each."""
-
-
 _TOUCHING = 1e-6
 """Metres; a Gaussian nearer to the camera has no direction to be seen from, and is not drawn anyway."""
 
@@ -131,11 +120,7 @@ class Avatar(nn.Module):
                 `pose_turns`, `pose_places`, `skinning`; others are ignored. The skinning network's is multiplied by
                 `skinning_every`, since Adam moves it that many times less often.
         """
-        groups = [
-            {"name": name, "params": [getattr(self.gaussians, attribute)], "lr": rates[name]}
-            for name, attribute in GROUPS.items()
-            if name != "sh_rest" or self.gaussians.sh_degree > 0
-        ]
+        groups = self.gaussians.parameter_groups(rates)
         if self.pose_refiner is not None:
             groups.append(
                 {"name": "pose", "params": list(self.pose_refiner.parameters()), "lr": rates["pose"]}

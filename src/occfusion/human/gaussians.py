@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -37,6 +38,16 @@ MEANS_HORIZON = 30_000
 
 PARAMETERS = ("means", "raw_quats", "log_scales", "opacity_logits", "sh0", "sh_rest")
 """Names of the parameters; each has one row a Gaussian."""
+
+GROUPS = {
+    "means": "means",
+    "sh0": "sh0",
+    "sh_rest": "sh_rest",
+    "opacity": "opacity_logits",
+    "scales": "log_scales",
+    "quats": "raw_quats",
+}
+"""Optimiser groups, by the name of the parameter in each."""
 
 
 class Gaussians(nn.Module):
@@ -117,6 +128,18 @@ class Gaussians(nn.Module):
         if missing > 0:
             rest = self.sh_rest
             self.sh_rest = nn.Parameter(torch.cat([rest, rest.new_zeros(len(rest), missing, 3)], dim=1))
+
+    def parameter_groups(self, rates: Mapping[str, float]) -> list[dict[str, Any]]:
+        """Returns named parameter groups for Adam.
+
+        Args:
+            rates: learning rates by the names of `GROUPS`; others are ignored.
+        """
+        return [
+            {"name": name, "params": [getattr(self, attribute)], "lr": rates[name]}
+            for name, attribute in GROUPS.items()
+            if name != "sh_rest" or self.sh_degree > 0
+        ]
 
     def set_vertex_index(self, index: Tensor) -> None:
         """Names the body vertex whose skinning and blend shapes each Gaussian follows, `[N]`."""
