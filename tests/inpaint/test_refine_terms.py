@@ -101,19 +101,23 @@ def test_a_frame_without_a_reference_has_no_generated_term(frame: Frame, referen
     assert not found["ssim"][~mask_of(SEEN)].any()
 
 
+@pytest.mark.parametrize("gen_pixels", ["unseen", "hidden"])
 @pytest.mark.parametrize("hidden", [0.0, 0.25, 1.0])
 def test_mask_term_counts_what_is_neither_seen_nor_background_as_asked(
-    frame: Frame, references: References, hidden: float
+    frame: Frame, references: References, hidden: float, gen_pixels: str
 ) -> None:
     alpha = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(0)).requires_grad_()
     rendering = Rendering(torch.zeros(SIZE, SIZE, 3), alpha, torch.zeros(SIZE, SIZE), torch.zeros(0, 2))
     for index, weight in ((7, hidden), (8, 1.0)):  # nothing is hidden in frame 8
         other = dataclasses.replace(frame, index=index)
-        term = stage_of(references, mask_hidden=hidden).terms(other, rendering, BOX)["mask"]
+        stage = stage_of(references, mask_hidden=hidden, gen_pixels=gen_pixels)
+        term = stage.terms(other, rendering, BOX)["mask"]
         (found,) = torch.autograd.grad(term, alpha)
         target = (mask_of(SEEN) | mask_of(PAINTED)).float()
         weights = torch.full((SIZE, SIZE), weight)
         weights[SEEN] = weights[ELSEWHERE] = 1.0
+        if gen_pixels == "unseen":  # no frame shows what was painted: there the complete mask is all there is
+            weights[PAINTED] = 1.0
         wanted = sum(
             float(w * (a - t) ** 2)
             for w, a, t in zip(*(x.flatten() for x in (weights, alpha.detach(), target)), strict=True)

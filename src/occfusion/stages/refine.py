@@ -57,7 +57,8 @@ class RefineStage(AvatarStage):
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.3: L1 on M, L2 of the occupancy, L1 on R, and the perceptual one.
 
-        `mask_hidden` decides how much L2 counts where neither the person nor background is seen.
+        `mask_hidden` decides how much L2 counts where neither the person nor background is seen, but by some other
+        frame.
         """
         settings, target = self.settings, crop_frame(frame, box)
         reference = self.references.get(frame, box)
@@ -69,7 +70,8 @@ class RefineStage(AvatarStage):
         if settings.lambda_rgb:
             terms["rgb"] = losses.l1(rgb, target.rgb, target.visible_mask)
         if settings.lambda_mask:
-            weights = mask_weights(frame, box, self.backgrounds, settings.mask_hidden)
+            unseen = None if reference is None or settings.gen_pixels != "unseen" else reference.region
+            weights = mask_weights(frame, box, self.backgrounds, settings.mask_hidden, unseen)
             terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rgb.dtype), weights=weights)
         if settings.lambda_gen and reference is not None:
             terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)

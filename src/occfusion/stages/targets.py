@@ -33,7 +33,9 @@ Backgrounds = Mapping[int, NDArray[np.bool_]]
 """By the numbers of the frames whose person is occluded: pixels taken for background, bool `[H, W]`."""
 
 
-def mask_weights(frame: Frame, box: Box, backgrounds: Backgrounds, hidden: float) -> Tensor | None:
+def mask_weights(
+    frame: Frame, box: Box, backgrounds: Backgrounds, hidden: float, unseen: Tensor | None = None
+) -> Tensor | None:
     """Returns how much each pixel of the window `box` counts in the mask term, `[h, w]`; None where all count fully.
 
     What is neither seen nor background has its place in a complete mask from a prior and a pose that may be off by
@@ -44,13 +46,15 @@ def mask_weights(frame: Frame, box: Box, backgrounds: Backgrounds, hidden: float
         box: a window of it.
         backgrounds: of the occluded frames.
         hidden: weight of what is neither seen nor background.
+        unseen: pixels of the window that no frame shows, which count fully: a complete mask is all there is to go by
+            there; bool `[h, w]`.
     """
     background = backgrounds.get(frame.index)
     if background is None or hidden == 1.0:
         return None
     seen = crop(frame.visible_mask, box)
     known = seen | crop(torch.from_numpy(background), box).to(seen.device)
-    return torch.where(known, 1.0, hidden)
+    return torch.where(known if unseen is None else known | unseen, 1.0, hidden)
 
 
 def crop_frame(frame: Frame, box: Box) -> Target:
