@@ -57,6 +57,3 @@ def test_corrections_bring_the_body_nearer_to_the_true_one(tmp_path: Path) -> No
     assert plane_before > 0.006  # metres: there is something to mend
     assert plane_after < 0.6 * plane_before
     assert along_after < 1.1 * along_before  # one camera hardly tells; at least nothing drifts
-    print(
-        f"{1e3 * plane_before:.1f} -> {1e3 * plane_after:.1f} mm, along the view {1e3 * along_before:.1f} -> {1e3 * along_after:.1f}"
-    )
