@@ -181,7 +181,8 @@ def _backgrounds(run_: Run) -> Backgrounds:
 
 def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
     """Returns the stage, its references made, and the seconds that they took."""
-    settings, refine = run_.settings, run_.settings.refine
+    settings = run_.settings
+    refine = as_planned(settings, run_.moments).refine
     assert run_.moments is not None
     identity = {"data": run_.data_hash, "avatar": file_digest(run_.folder / "optim" / "avatar.safetensors")}
     references, seconds = make_references(

@@ -211,6 +211,7 @@ def _check_choices(settings: Settings) -> None:
     _check_in("refine.gen_pixels", settings.refine.gen_pixels, ("unseen", "hidden"))
     _check_range("optim.mask_hidden", settings.optim.mask_hidden, 0.0, 1.0)
     _check_range("refine.mask_hidden", settings.refine.mask_hidden, 0.0, 1.0)
+    _check_range("refine.mask_hidden_fitting", settings.refine.mask_hidden_fitting, 0.0, 1.0)
     _check_in("refine.lpips_pixels", settings.refine.lpips_pixels, ("visible", "all"))
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
     _check_in("trainer.strategy", settings.trainer.strategy, STRATEGIES)

@@ -102,11 +102,13 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
         ),
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
-    whole = [moment for moment in moments or () if not moment.evidence.occluded]
-    if not may_leave_out_networks(settings) or len(whole) < FRAMES_TO_JUDGE:
+    measured = _misfit(moments)
+    if not may_leave_out_networks(settings) or measured is None:
         return decisions
-    misfit = float(np.median([moment.evidence.outside_share for moment in whole]))
-    shown = f"{misfit:.3%} of the body lies outside the mask (median of {len(whole)} frames that show a whole person)"
+    misfit, count = measured
+    shown = (
+        f"{misfit:.3%} of the body lies outside the mask (median of {count} frames that show a whole person)"
+    )
     shown += f"; {FITTING:.2%} would need mending"
     return [replace(d, used=d.used and misfit >= FITTING, reason=f"{d.reason}; {shown}") for d in decisions]
 
@@ -148,10 +150,12 @@ def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings
     optim = replace(
         settings.optim, sds=sds, refine_pose=refine_pose, pose_knots=pose_knots, learn_skinning=learn_skinning
     )
-    optim = replace(optim, mask_hidden=_hidden_mask_weight(settings))
+    optim_weight, refine_weight = _hidden_mask_weights(settings, moments)
+    optim = replace(optim, mask_hidden=optim_weight)
+    refine = replace(settings.refine, mask_hidden=refine_weight)
     if is_perceptual_term_deferred(settings):
         optim = replace(optim, lambda_lpips=0.0)
-    return replace(settings, optim=optim)
+    return replace(settings, optim=optim, refine=refine)
 
 
 def generated_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
@@ -165,21 +169,44 @@ def generated_decision(settings: Settings, moments: Sequence[Moment] | None) -> 
 
 def hidden_mask_decision(stage: str, settings: Settings, moments: Sequence[Moment] | None) -> Decision:
     """Returns whether the mask term counts fully on hidden pixels: what is there, other frames may tell better."""
-    weight = _hidden_mask_weight(settings) if stage == "optim" else settings.refine.mask_hidden
+    weights = _hidden_mask_weights(settings, moments)
+    weight = weights[0] if stage == "optim" else weights[1]
     part = "full mask term on hidden pixels" + ("" if stage == "optim" else f" in {stage}")
     reason = f"it counts {weight:g} there"
-    if weight < getattr(settings, stage).mask_hidden:
+    if stage == "optim" and weight < settings.optim.mask_hidden:
         reason += ", as in the refinement that follows"
+    if "refine" in settings.variant.stages and _poses_fit(moments):
+        reason += "; poses fit as given, so complete masks do"
     if moments is not None and not _occluded(moments):
         return Decision(part, False, _hidden_reason(moments))
     return Decision(part, weight == 1.0, reason)
 
 
-def _hidden_mask_weight(settings: Settings) -> float:
-    """Returns the optimisation's; the whole system begins with that of its refinement (docs/refinement.md)."""
-    own = settings.optim.mask_hidden
+def _hidden_mask_weights(settings: Settings, moments: Sequence[Moment] | None) -> tuple[float, float]:
+    """Returns those of optimisation and refinement; the whole system begins with the latter's (docs/refinement.md).
+
+    Complete masks are made from the poses as given: where these fit, masks are nearly right and count for more.
+    """
+    own, refine = settings.optim.mask_hidden, settings.refine
+    refined = refine.mask_hidden_fitting if _poses_fit(moments) else refine.mask_hidden
     is_whole = _may_leave_out(settings) and "refine" in settings.variant.stages
-    return min(own, settings.refine.mask_hidden) if is_whole else own
+    return (min(own, refined) if is_whole else own), refined
+
+
+def _misfit(moments: Sequence[Moment] | None) -> tuple[float, int] | None:
+    """Returns how much of the body lies outside the mask, and in how many frames; None where these are too few.
+
+    A share, the median of the frames that show a whole person.
+    """
+    whole = [moment for moment in moments or () if not moment.evidence.occluded]
+    if len(whole) < FRAMES_TO_JUDGE:
+        return None
+    return float(np.median([moment.evidence.outside_share for moment in whole])), len(whole)
+
+
+def _poses_fit(moments: Sequence[Moment] | None) -> bool:
+    misfit = _misfit(moments)
+    return misfit is not None and misfit[0] < FITTING
 
 
 def box_reason(moments: Sequence[Moment] | None) -> str:

@@ -145,6 +145,17 @@ def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
         settings = settings_of(f"variant={variant}", f"plan={plan}")
         assert as_planned(settings, occluded).optim.mask_hidden == weight
         assert used(settings, occluded)["full mask term on hidden pixels"] == (weight == 1.0)
+    fitting = frames(*[0.5] * 8, *[0.0] * 12)  # enough whole people to see that their poses fit
+    for overrides, weights in (
+        ((), (0.2, 0.2)),
+        (("refine.mask_hidden_fitting=1",), (1.0, 1.0)),
+        (("refine.mask_hidden=0.5",), (0.2, 0.2)),
+        (("variant=B",), (1.0, 0.2)),
+    ):
+        planned = as_planned(settings_of(*overrides), fitting)
+        assert (planned.optim.mask_hidden, planned.refine.mask_hidden) == weights
+    mended = frames(*[0.5] * 8, *[0.02] * 12)
+    assert as_planned(settings_of(), mended).refine.mask_hidden == 0.0
     weighed = settings_of("refine.mask_hidden=0.5", "optim.mask_hidden=0.25")
     assert as_planned(weighed, occluded).optim.mask_hidden == 0.25
     assert not used(settings_of("variant=B"), frames(*[0.0] * 12))["full mask term on hidden pixels"]

@@ -188,6 +188,7 @@ class RefineSettings(AvatarSettings):
         source: of the references: `prior`; `coarse`: the coarse rendering itself, to see what inpainting adds;
             `truth`: the data set's own complete pictures, an upper bound for synthetic scenes.
         mask_hidden: weight of the mask term on pixels that are neither seen nor background, 0..1; the paper: 1.
+        mask_hidden_fitting: the same where poses fit as given, and complete masks with them.
         gen_pixels: where references count: `unseen`: where the paper's R shows what no frame of the video does;
             `hidden`: in all of R.
         lpips_pixels: what the SSIM and perceptual terms look at: `visible`; `all`: at those pixels of the
@@ -196,6 +197,7 @@ class RefineSettings(AvatarSettings):
 
     source: str = "prior"
     mask_hidden: float = 0.0
+    mask_hidden_fitting: float = 0.2
     gen_pixels: str = "unseen"
     lpips_pixels: str = "visible"
     steps: int = 1200
