@@ -126,11 +126,8 @@ class Avatar(nn.Module):
                 {"name": "pose", "params": list(self.pose_refiner.parameters()), "lr": rates["pose"]}
             )
         if self.pose_spline is not None:
-            for name, parameter in (
-                ("pose_turns", self.pose_spline.turns),
-                ("pose_places", self.pose_spline.places),
-            ):
-                groups.append({"name": name, "params": [parameter], "lr": rates[name]})
+            spline = {"pose_turns": self.pose_spline.turns, "pose_places": self.pose_spline.places}
+            groups += [{"name": name, "params": [p], "lr": rates[name]} for name, p in spline.items()]
         if self.skinning_field is not None:
             rate = rates["skinning"] * self.skinning_every
             groups.append({"name": "skinning", "params": list(self.skinning_field.parameters()), "lr": rate})
@@ -178,16 +175,20 @@ class Avatar(nn.Module):
         rotations = self.body.rotations(pose.global_orient, pose.body_pose)
         transl = pose.transl.to(self.gaussians.means)
         if self.pose_refiner is not None:
-            rotations = self.pose_refiner(pose.body_pose.reshape(-1).to(transl), rotations)
+            rotations = self.pose_refiner(self._flat(pose), rotations)
         if self.pose_spline is not None and pose.moment is not None:
             rotations, transl = self.pose_spline(pose.moment, rotations, transl)
         return rotations, transl
+
+    def _flat(self, pose: Pose) -> Tensor:
+        """Returns the body pose as the network sees it, `[69]`."""
+        return pose.body_pose.reshape(-1).to(self.gaussians.means)
 
     def corrections(self, pose: Pose) -> list[Tensor]:
         """Returns the axis-angles that correct a pose, radians: the network's `[23, 3]`, then the frame's `[24, 3]`."""
         angles = []
         if self.pose_refiner is not None:
-            angles.append(self.pose_refiner.corrections(pose.body_pose.reshape(-1).to(self.gaussians.means)))
+            angles.append(self.pose_refiner.corrections(self._flat(pose)))
         if self.pose_spline is not None and pose.moment is not None:
             angles.append(self.pose_spline.at(pose.moment)[0])
         return angles
