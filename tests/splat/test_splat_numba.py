@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,12 @@ from splat_scenes import LAYERS, Scene, assert_all_same, gradients, make_scene, 
 
 from occfusion.errors import ConfigError
 from occfusion.splat import Limits, resolve_backend
-from occfusion.splat.backends import numba_backend
+from occfusion.splat.backends import numba_ahead, numba_backend, numba_gradient
 from occfusion.splat.backends.numba_bins import sort_by_depth
 from occfusion.splat.backends.numba_layout import DEPTH, REACH, SPLAT_SIZE
+from occfusion.splat.backends.numba_project_backward import project_backward_part
 from occfusion.splat.limits import DEFAULT_LIMITS
+from occfusion.threads import usable_cores
 
 FLIP = 2 / 255
 """A pixel may differ by one dropped splat where rounding decides on which side of a cut-off it is."""
@@ -133,7 +136,7 @@ def test_colors_alone_leave_the_geometry_out(monkeypatch: pytest.MonkeyPatch) ->
     def refuse(*_: Any) -> None:
         raise AssertionError("the gradient of shapes and places was computed")
 
-    monkeypatch.setattr(numba_backend, "blend_backward_part", refuse)
+    monkeypatch.setattr(numba_gradient, "blend_backward_part", refuse)
     (got,) = torch.autograd.grad(alone.render("numba").rgb.sum(), alone.tensors["colors"])
     monkeypatch.undo()
     expected = torch.autograd.grad(scene.render("numba").rgb.sum(), scene.tensors["colors"])[0]
@@ -145,7 +148,7 @@ def test_background_alone_visits_no_gaussian(monkeypatch: pytest.MonkeyPatch) ->
     alone = Scene({n: t.detach() for n, t in scene.tensors.items()}, scene.K, 40, 30, scene.options)
     background = alone.tensors["background"].requires_grad_()
     rendering = alone.render("numba")
-    monkeypatch.setattr(numba_backend, "run_parts", lambda *_: pytest.fail("a kernel ran"))
+    monkeypatch.setattr(numba_gradient, "run_parts", lambda *_: pytest.fail("a kernel ran"))
     (got,) = torch.autograd.grad(rendering.rgb.sum(), background)
     assert torch.allclose(got, (1 - rendering.alpha).sum().expand(3))
 
@@ -235,6 +238,64 @@ scene.render("numba").rgb.sum().backward()
 from occfusion.splat.backends import numba_blend
 print(sum(numba_blend.blend_part.stats.cache_hits.values()))
 """
+
+
+def test_what_is_compiled_ahead_is_what_a_gradient_calls() -> None:
+    make_scene(n=5, dtype=torch.float32).render("numba").rgb.sum().backward()
+    known = list(project_backward_part.signatures)
+    numba_gradient.compile_last()
+    assert list(project_backward_part.signatures) == known and len(known) == 1
+
+
+def test_whether_a_kernel_is_cached_is_seen(tmp_path: Path) -> None:
+    source, index = tmp_path / "numba_module.py", tmp_path / "numba_module.kernel-7.py311.nbi"
+    source.write_text("")
+    code = SimpleNamespace(co_filename=str(source))
+    kernel = SimpleNamespace(
+        py_func=SimpleNamespace(__code__=code, __qualname__="kernel"),
+        stats=SimpleNamespace(cache_path=str(tmp_path)),
+    )
+    assert not numba_ahead.is_cached(kernel)
+    index.write_text("")
+    assert numba_ahead.is_cached(kernel)
+    os.utime(index, (1, 1))  # older than the source
+    assert not numba_ahead.is_cached(kernel)
+    kernel.stats.cache_path = None  # nowhere to leave anything
+    assert numba_ahead.is_cached(kernel)
+
+
+AHEAD = """
+import sys
+sys.path.insert(0, {tests!r})
+import torch
+from splat_scenes import make_scene
+from occfusion.splat.backends import numba_ahead
+started, start = [], numba_ahead.start
+numba_ahead.start = lambda: (start(), started.extend(numba_ahead._helpers))
+{before}
+make_scene(n=5, dtype=torch.float32).render("numba").rgb.sum().backward()
+from occfusion.splat.backends.numba_project_backward import project_backward_part as kernel
+print(len(started), sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values()))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("before", "expected"),
+    [("", ["1 1 0", "0 1 0"]), ("numba_ahead.PROGRAM = 'raise SystemExit(3)'", ["1 0 1"])],
+    ids=["helped", "failed"],
+)
+def test_a_second_process_compiles_ahead(tmp_path: Path, before: str, expected: list[str]) -> None:
+    """The last kernel is loaded, not compiled, where the second process did its work; else it is compiled here."""
+    if usable_cores() < 2:
+        pytest.skip("needs two cores")
+    program = AHEAD.format(tests=str(Path(__file__).parent), before=before)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    for line in expected:
+        done = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+        )
+        assert done.stdout.strip() == line
 
 
 @pytest.mark.slow

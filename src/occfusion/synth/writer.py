@@ -34,6 +34,7 @@ from occfusion.synth.fullbody import asset_bytes
 from occfusion.synth.manifest import is_current, write_manifest
 from occfusion.synth.scene import Scene, Shot
 from occfusion.synth.spec import SceneSpec
+from occfusion.threads import usable_cores
 
 JPEG_QUALITY = 95
 PNG_COMPRESSION = 3  # masks are small at any level; higher ones only take longer
@@ -91,7 +92,7 @@ def _write_all(folder: Path, scene: Scene, progress: bool) -> None:
     (folder / "body.npz").write_bytes(asset_bytes("free_body.npz"))
     _save_object(folder / "annots.npy", _annotations(scene))
     frames = range(scene.spec.frames)
-    threads = min(_cores(), MAX_THREADS, len(frames))
+    threads = min(usable_cores(), MAX_THREADS, len(frames))
     with _bar(scene.spec, progress) as advance, ThreadPoolExecutor(threads) as pool:
         running = [pool.submit(_write_frame, folder, scene, frame) for frame in frames]
         try:
@@ -222,10 +223,6 @@ def _put(folder: Path, target: Path, spec: SceneSpec) -> None:
     except OSError:
         if not is_current(target, spec):
             raise
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

@@ -6,37 +6,25 @@ and every sum over tiles or Gaussians is formed in an order fixed by the input.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from occfusion.errors import ConfigError
+from occfusion.splat.backends import numba_ahead
 from occfusion.splat.backends.layers import Layers
+from occfusion.splat.backends.numba_arrays import Inputs, Tape, array_of, inputs_of, working_space
 from occfusion.splat.backends.numba_bins import bin_splats, sort_by_depth
 from occfusion.splat.backends.numba_blend import blend_part
-from occfusion.splat.backends.numba_blend_backward import blend_backward_part
-from occfusion.splat.backends.numba_blend_colors import blend_colors_backward_part
+from occfusion.splat.backends.numba_blocks import GROUP
 from occfusion.splat.backends.numba_compile import run_parts
-from occfusion.splat.backends.numba_layout import (
-    GRADIENT_SIZE,
-    SPLAT_SIZE,
-    TILE_HEIGHT,
-    TILE_LANES,
-    TILE_WIDTH,
-    new_planes,
-)
-from occfusion.splat.backends.numba_project import PART, project_part
-from occfusion.splat.backends.numba_project_backward import project_backward_part
-from occfusion.splat.limits import FRUSTUM_MARGIN
+from occfusion.splat.backends.numba_gradient import COLORS, gaussian_gradients, pair_gradients
+from occfusion.splat.backends.numba_harmonics import BASIS_SIZE
+from occfusion.splat.backends.numba_layout import SPLAT_SIZE, TILE_HEIGHT, TILE_LANES, TILE_WIDTH
+from occfusion.splat.backends.numba_project import project_part
 from occfusion.splat.request import Request
 
-Array = np.ndarray
-GRADIENTS = ("means", "quats", "scales", "covariances", "opacities", "colors", "offsets")
-COLORS = GRADIENTS.index("colors")
 LEAST_ALPHA_MIN = 1 / 256
 """The kernels' exponential covers alphas down to this."""
 
@@ -63,87 +51,6 @@ def render(request: Request) -> Layers:
     return Layers(*_Rasterize.apply(*gaussians, request.viewmat, request.background, request))
 
 
-@dataclass(frozen=True)
-class Inputs:
-    """The inputs as arrays; what is absent has no rows."""
-
-    means: Array
-    quats: Array
-    scales: Array
-    covariances: Array
-    opacities: Array
-    colors: Array
-    offsets: Array
-    camera: Array
-    options: Array
-    degree: int
-
-
-@dataclass(frozen=True)
-class Tape:
-    """What the backward pass needs from the forward pass."""
-
-    splats: Array
-    packed: Array
-    starts: Array
-    entries: Array
-    slots: Array
-    tiles: Array
-    grid: Array
-    limits: Array
-    background: Array
-    kept: Array
-    blended: Array
-
-
-def _planes() -> Array:
-    """Returns working planes for every thread."""
-    return np.tile(new_planes(), (torch.get_num_threads(), 1))
-
-
-def _array(tensor: Tensor | None, *tail: int) -> Array:
-    """Returns the tensor's memory as an array, without rows when there is none."""
-    if tensor is None:
-        return np.empty((0, *tail), np.float32)
-    array: Array = tensor.detach().contiguous().numpy()
-    return array
-
-
-def _inputs(request: Request) -> Inputs:
-    colors = request.colors if request.sh_degree is not None else request.colors[:, None]
-    limits = request.limits
-    return Inputs(
-        means=_array(request.means),
-        quats=_array(request.quats, 4),
-        scales=_array(request.scales, 3),
-        covariances=_array(request.covariances, 3, 3),
-        opacities=_array(request.opacities),
-        colors=_array(colors),
-        offsets=_array(request.screen_offsets, 2),
-        camera=pack_camera(request),
-        options=np.array([request.near, limits.dilation, limits.alpha_min, request.antialiased]),
-        degree=-1 if request.sh_degree is None else request.sh_degree,
-    )
-
-
-def pack_camera(request: Request) -> Array:
-    """Returns the camera as 23 numbers, float64.
-
-    0-8 rotation row by row, 9-11 translation, 12-15 fx fy cx cy, 16-19 the range of x/z and of y/z
-    in which the projection is linearised, 20-22 the centre.
-    """
-    fx, fy, cx, cy = request.intrinsics
-    view = request.viewmat.detach().double().cpu().numpy()
-    rotation, translation = view[:3, :3], view[:3, 3]
-    margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * request.width / fx, FRUSTUM_MARGIN * 0.5 * request.height / fy
-    slopes = [
-        -cx / fx - margin_x, (request.width - cx) / fx + margin_x,
-        -cy / fy - margin_y, (request.height - cy) / fy + margin_y,
-    ]  # fmt: skip
-    parts = [rotation.ravel(), translation, [fx, fy, cx, cy], slopes, -rotation.T @ translation]
-    return np.concatenate(parts).astype(np.float64)
-
-
 def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Tensor, Tensor]:
     n = len(inputs.means)
     x, y, width, height = request.crop
@@ -153,7 +60,7 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     run_parts(
         project_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances, inputs.opacities,
         inputs.colors, inputs.offsets, inputs.camera, window, inputs.options, inputs.degree, splats,
-        radii.numpy(),
+        radii.numpy(), np.empty((torch.get_num_threads(), BASIS_SIZE), np.float32),
     )  # fmt: skip
     order = sort_by_depth(splats, inputs.means, inputs.camera)
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
@@ -161,7 +68,7 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     lengths = np.diff(starts)
     # longest lists first, so that dealing the tiles out in turn gives each thread a like share
     tiles = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
-    background = np.zeros(3, np.float32) if request.background is None else _array(request.background)
+    background = np.zeros(3, np.float32) if request.background is None else array_of(request.background)
     limits = request.limits
     tape = Tape(
         splats, packed, starts, entries, slots, tiles,
@@ -176,8 +83,9 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     else:
         rgb = request.background.detach().repeat(height, width, 1)
     alpha, depth = torch.zeros(height, width), torch.zeros(height, width)
+    reached = np.empty((torch.get_num_threads(), GROUP), np.int32)
     run_parts(
-        blend_part, packed, starts, entries, tiles, _planes(), tape.grid, tape.limits,
+        blend_part, packed, starts, entries, tiles, *working_space(), reached, tape.grid, tape.limits,
         background, rgb.numpy(), alpha.numpy(), depth.numpy(), tape.kept, tape.blended,
     )  # fmt: skip
     return tape, rgb, alpha, depth, radii
@@ -187,7 +95,9 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, *inputs):  # type: ignore[no-untyped-def]
         *tensors, request = inputs
-        tape, rgb, alpha, depth, radii = _forward(request, _inputs(request))
+        if any(ctx.needs_input_grad):
+            numba_ahead.start()
+        tape, rgb, alpha, depth, radii = _forward(request, inputs_of(request))
         ctx.save_for_backward(*tensors, alpha, depth)
         ctx.tape, ctx.request = tape, request
         ctx.mark_non_differentiable(radii)
@@ -204,60 +114,10 @@ class _Rasterize(torch.autograd.Function):
         gradients: list[Tensor | None] = [None] * len(needed)
         if any(needed):
             only_colors = sum(needed) == 1 and needed[COLORS]
-            pair_slots = _pair_gradients(tape, alpha, depth, (grad_rgb, grad_alpha, grad_depth), only_colors)
-            gradients = _gaussian_gradients(needed, _inputs(ctx.request), tape, pair_slots)
+            pair_slots = pair_gradients(tape, alpha, depth, (grad_rgb, grad_alpha, grad_depth), only_colors)
+            numba_ahead.wait()
+            gradients = gaussian_gradients(needed, inputs_of(ctx.request), tape, pair_slots)
         g_background = None
         if ctx.needs_input_grad[8] and grad_rgb is not None:
             g_background = ((1 - alpha)[..., None] * grad_rgb).sum((0, 1))
         return (*gradients, g_background, None)
-
-
-def _pair_gradients(
-    tape: Tape, alpha: Tensor, depth: Tensor, grads: tuple[Tensor | None, ...], only_colors: bool
-) -> Array:
-    """Returns the gradient of each (splat, tile) pair `[pairs, 10]`; the colours' columns alone where asked."""
-    slots = np.empty((len(tape.entries), GRADIENT_SIZE), np.float32)
-    rgb, *others = _array(grads[0], 1, 3), _array(grads[1], 1), _array(grads[2], 1)
-    scene = (
-        tape.packed, tape.starts, tape.entries, tape.tiles, _planes(), tape.grid, tape.limits, tape.background,
-        alpha.numpy(), depth.numpy(), tape.blended, tape.kept,
-    )  # fmt: skip
-    if only_colors:
-        run_parts(blend_colors_backward_part, *scene, rgb, slots)
-    else:
-        run_parts(blend_backward_part, *scene, rgb, *others, slots)
-    return slots
-
-
-def _gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Array) -> list[Tensor | None]:
-    """Returns the gradients of the eight inputs from means to viewmat; None for those not needed."""
-    shapes: list[tuple[int, ...]] = [
-        inputs.means.shape, inputs.quats.shape, inputs.scales.shape, inputs.covariances.shape,
-        inputs.opacities.shape, inputs.colors.shape, inputs.offsets.shape,
-    ]  # fmt: skip
-    results: list[Tensor | None] = []
-    for name, shape, need in zip(GRADIENTS, shapes, needed, strict=False):
-        make = torch.empty if name == "colors" else torch.zeros  # colours, the largest, are written in full
-        results.append(make(shape) if need else None)
-    arrays = [
-        _array(result, *shape[1:]) if result is not None else np.empty((0, *shape[1:]), np.float32)
-        for result, shape in zip(results, shapes, strict=True)
-    ]
-    means, quats, scales, covariances, opacities, colors, offsets = arrays
-    pieces = -(-len(inputs.means) // PART) if needed[7] else 0
-    camera = np.zeros((pieces, 12))
-    run_parts(
-        project_backward_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances,
-        inputs.opacities, inputs.colors, inputs.camera, inputs.options, inputs.degree,
-        tape.splats, tape.slots, pair_slots,
-        means, quats, scales, covariances, opacities, colors, offsets, camera,
-    )  # fmt: skip
-    color = results[5]
-    if color is not None and inputs.degree < 0:
-        results[5] = color[:, 0]
-    viewmat = None
-    if needed[7]:
-        total = torch.from_numpy(camera.sum(0)).float()
-        viewmat = torch.zeros(4, 4)
-        viewmat[:3, :3], viewmat[:3, 3] = total[:9].view(3, 3), total[9:]
-    return [*results, viewmat]

@@ -14,7 +14,6 @@ from occfusion.splat.backends.numba_layout import (
     INVERSE_L1,
     L2,
     REACH,
-    SPLAT_SIZE,
     TILE_HEIGHT,
     TILE_WIDTH,
     TURN,
@@ -30,6 +29,9 @@ SLACK = 1e-3
 
 RADIX_BITS = 11
 DIGIT_MASK = np.uint32((1 << RADIX_BITS) - 1)
+DIGITS = -(-32 // RADIX_BITS)
+SORTED = DIGITS % 2
+"""Which of two arrays holds the result once every digit has moved it from one to the other."""
 
 
 def sort_by_depth(splats: Any, means: Any, camera: Any) -> Any:
@@ -39,7 +41,9 @@ def sort_by_depth(splats: Any, means: Any, camera: Any) -> Any:
     `means` `[N, 3]` and the `camera` of `pack_camera`. They are few: compiled code would take longer to compile
     than it saves.
     """
-    order = sort_by_bits(splats)
+    index, keys = np.empty((2, len(splats)), np.int32), np.empty((2, len(splats)), np.uint32)
+    visible = sort_by_bits(splats.view(np.uint32), index, keys, np.empty(1 << RADIX_BITS, np.int64))
+    order = index[SORTED, :visible]
     depths = splats[order, DEPTH]
     alike = depths[1:] == depths[:-1]
     if not alike.any():
@@ -56,44 +60,40 @@ def sort_by_depth(splats: Any, means: Any, camera: Any) -> Any:
 
 
 @kernel
-def sort_by_bits(splats: Any) -> Any:
-    """Returns the visible rows of `splats`, nearest first, equal depths in input order, int32 `[V]`.
+def sort_by_bits(bits: Any, index: Any, keys: Any, counts: Any) -> int:
+    """Returns how many are visible; `index[SORTED]` begins with their rows, nearest first, equal ones in input order.
 
-    A radix sort of the bits of the depth: positive floats are ordered like their bits, and each pass
-    is stable.
+    A radix sort of the bits of the depth, of which `bits` is the unsigned view: positive floats are ordered like
+    their bits, and each pass is stable. The other arguments are working space: `[2, N]` twice and `[2^RADIX_BITS]`.
     """
     visible = 0
-    for i in range(splats.shape[0]):
-        visible += splats[i, REACH] > 0
-    index, other = np.empty(visible, np.int32), np.empty(visible, np.int32)
-    depths, keys = np.empty(visible, np.float32), np.empty(visible, np.uint32)
-    bits = depths.view(np.uint32)
-    place = 0
-    for i in range(splats.shape[0]):
-        if splats[i, REACH] > 0:
-            index[place] = i
-            depths[place] = splats[i, DEPTH]
-            place += 1
-    counts = np.empty(1 << RADIX_BITS, np.int64)
-    for shift in range(0, 32, RADIX_BITS):
+    for i in range(bits.shape[0]):
+        splat = bits[i]
+        # the reach is no less than zero, and positive numbers have positive bits
+        if splat[REACH] > 0:
+            index[0, visible] = i
+            keys[0, visible] = splat[DEPTH]
+            visible += 1
+    for digits in range(DIGITS):
+        shift = np.uint32(RADIX_BITS * digits)
+        source, target = index[digits % 2], index[1 - digits % 2]
+        known, moved = keys[digits % 2], keys[1 - digits % 2]
         for digit in range(1 << RADIX_BITS):
             counts[digit] = 0
         for i in range(visible):
-            counts[(bits[i] >> np.uint32(shift)) & DIGIT_MASK] += 1
+            counts[(known[i] >> shift) & DIGIT_MASK] += 1
         total = 0
         for digit in range(1 << RADIX_BITS):
             count = counts[digit]
             counts[digit] = total
             total += count
         for i in range(visible):
-            digit = (bits[i] >> np.uint32(shift)) & DIGIT_MASK
+            digit = (known[i] >> shift) & DIGIT_MASK
             place = counts[digit]
             counts[digit] += 1
-            other[place] = index[i]
-            keys[place] = bits[i]
-        index, other = other, index
-        bits, keys = keys, bits
-    return index
+            target[place] = source[i]
+            moved[place] = known[i]
+    return visible
 
 
 @inline
@@ -130,7 +130,6 @@ def first_and_last(low: float, high: float, size: int, most: int) -> tuple[int, 
     return int(first) // size, int(last) // size
 
 
-@kernel
 def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) -> Any:
     """Returns packed splats `[V, 16]` in depth order, the tile lists, and the gradient slots of each Gaussian.
 
@@ -138,15 +137,27 @@ def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) 
     gradient slot, `[pairs, 2]`, front to back. The slots of a Gaussian follow one another, from its number in
     `[N + 1]`, so that its gradient is the sum over a run, and the runs are in the order of the Gaussians.
     """
-    visible = order.shape[0]
-    packed = np.empty((visible, SPLAT_SIZE), np.float32)
-    for rank in range(visible):
-        for k in range(SPLAT_SIZE):
-            packed[rank, k] = splats[order[rank], k]
-    by_rank = np.zeros(visible + 1, np.int32)  # the first pair of each
-    pairs = np.empty((max(1024, 4 * visible), 2), np.int32)  # tile and rank
+    packed = splats[order]
+    by_rank = np.zeros(len(order) + 1, np.int32)  # the first pair of each
+    pairs = np.empty((max(1024, 4 * len(order)), 2), np.int32)  # tile and rank
+    count = list_pairs(packed, x, y, across, down, by_rank, pairs)
+    if count > len(pairs):
+        pairs = np.empty((count, 2), np.int32)
+        list_pairs(packed, x, y, across, down, by_rank, pairs)
+    starts, slots = np.zeros(across * down + 1, np.int32), np.zeros(len(splats) + 1, np.int32)
+    entries = np.empty((count, 2), np.int32)
+    group_by_tile(pairs, order, by_rank, np.empty(across * down, np.int32), starts, entries, slots)
+    return packed, starts, entries, slots
+
+
+@kernel
+def list_pairs(packed: Any, x: int, y: int, across: int, down: int, by_rank: Any, pairs: Any) -> int:
+    """Writes each splat's tiles to `pairs`, (tile, rank), and where they begin to `by_rank`; returns their number.
+
+    Pairs that do not fit are counted only.
+    """
     slot = 0
-    for rank in range(visible):
+    for rank in range(packed.shape[0]):
         splat = packed[rank]
         centre_x = splat[X_WHOLE] - np.float32(x) + splat[X_PART] - np.float32(0.5)
         centre_y = splat[Y_WHOLE] - np.float32(y) + splat[Y_PART] - np.float32(0.5)
@@ -162,41 +173,31 @@ def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) 
                 continue
             first, last = first_and_last(centre_x + left, centre_x + right, TILE_WIDTH, across - 1)
             for column in range(first, last + 1):
-                if slot == pairs.shape[0]:
-                    longer = np.empty((2 * slot, 2), np.int32)
-                    for k in range(slot):
-                        longer[k, 0] = pairs[k, 0]
-                        longer[k, 1] = pairs[k, 1]
-                    pairs = longer
-                pairs[slot, 0] = row * across + column
-                pairs[slot, 1] = rank
+                if slot < pairs.shape[0]:
+                    pair = pairs[slot]
+                    pair[0], pair[1] = row * across + column, rank
                 slot += 1
         by_rank[rank + 1] = slot
-    starts, entries = group_by_tile(pairs, slot, across * down)
-    slots = np.zeros(splats.shape[0] + 1, np.int32)
-    for rank in range(visible):
-        slots[order[rank] + 1] = by_rank[rank + 1] - by_rank[rank]
-    for i in range(splats.shape[0]):
-        slots[i + 1] += slots[i]
-    for place in range(slot):
-        rank = entries[place, 0]
-        entries[place, 1] += slots[order[rank]] - by_rank[rank]
-    return packed, starts, entries, slots
+    return slot
 
 
-@inline
-def group_by_tile(pairs: Any, count: int, tiles: int) -> Any:
-    """Returns the start of each tile's list, `[tiles + 1]`, and the lists of (rank, pair), `[pairs, 2]`."""
-    starts, places = np.zeros(tiles + 1, np.int32), np.empty(tiles + 1, np.int32)
+@kernel
+def group_by_tile(
+    pairs: Any, order: Any, by_rank: Any, places: Any, starts: Any, entries: Any, slots: Any
+) -> None:
+    """Writes the lists and the slots of `bin_splats`; `starts` and `slots` come as zeros, `places` is working space."""
+    count = entries.shape[0]
     for slot in range(count):
         starts[pairs[slot, 0] + 1] += 1
-    for tile in range(tiles):
+    for tile in range(places.shape[0]):
         starts[tile + 1] += starts[tile]
         places[tile] = starts[tile]
-    entries = np.empty((count, 2), np.int32)
+    for rank in range(order.shape[0]):
+        slots[order[rank] + 1] = by_rank[rank + 1] - by_rank[rank]
+    for i in range(slots.shape[0] - 1):
+        slots[i + 1] += slots[i]
     for slot in range(count):
-        tile = pairs[slot, 0]
-        entries[places[tile], 0] = pairs[slot, 1]
-        entries[places[tile], 1] = slot
+        tile, rank = pairs[slot, 0], pairs[slot, 1]
+        entry = entries[places[tile]]
+        entry[0], entry[1] = rank, slots[order[rank]] + slot - by_rank[rank]
         places[tile] += 1
-    return starts, entries

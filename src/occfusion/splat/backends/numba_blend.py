@@ -9,7 +9,6 @@ import numpy as np
 from occfusion.splat.backends.numba_blocks import (
     GROUP,
     HALF,
-    SHAPE_SIZE,
     blending_blocks,
     fetch_group,
     lowest_block,
@@ -39,7 +38,6 @@ from occfusion.splat.backends.numba_layout import (
     P_RED,
     RED,
     ROW,
-    SPLAT_SIZE,
     THROUGH,
     TILE_BLOCKS,
     TILE_HEIGHT,
@@ -87,20 +85,21 @@ def lane_alpha(
 
 @kernel
 def blend_part(
-    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, grid: Any, limits: Any,
-    background: Any, rgb: Any, alpha: Any, depth: Any, kept: Any, blended: Any, part: int, parts: int,
+    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_reached: Any,
+    grid: Any, limits: Any, background: Any, rgb: Any, alpha: Any, depth: Any, kept: Any, blended: Any,
+    part: int, parts: int,
 ) -> None:  # fmt: skip
     """Blends every `parts`-th of the non-empty `tiles` and writes their pixels.
 
     Kept for the backward pass, in `kept` `[tiles, 2, TILE_LANES]` the final transmittance, and for each lane
     the number (in the tile's list) of the last splat met before blending stopped; in `blended` `[pairs]` the set
     of blocks that each entry of a list was blended into.
+    Working space of each part: `all_planes`, `all_groups` (of `numba_arrays`), `all_reached` int32 `[parts, GROUP]`.
     `grid` is (x, y, tiles in a row) of the crop, `limits` is (alpha_max, alpha_min, stop).
     """
     alpha_max, alpha_min, stop = limits[0], limits[1], limits[2]
-    p = all_planes[part]
-    group = np.zeros((GROUP, SPLAT_SIZE), np.float32)
-    shapes, reached = np.empty((SHAPE_SIZE, GROUP), np.float32), np.empty(GROUP, np.int32)
+    p, group, reached = all_planes[part], all_groups[part], all_reached[part]
+    shapes = group[GROUP:]
     height, width = alpha.shape
     for number in range(part, tiles.shape[0], parts):
         tile = tiles[number]

@@ -37,7 +37,6 @@ from occfusion.splat.backends.numba_layout import (
     P_GREEN,
     P_RED,
     RED,
-    SPLAT_SIZE,
     THROUGH,
     TILE_BLOCKS,
     TILE_HEIGHT,
@@ -48,8 +47,8 @@ from occfusion.splat.backends.numba_layout import (
 
 @kernel
 def blend_backward_part(
-    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, grid: Any, limits: Any,
-    background: Any, alpha: Any, depth: Any, blended: Any, kept: Any,
+    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_sums: Any,
+    grid: Any, limits: Any, background: Any, alpha: Any, depth: Any, blended: Any, kept: Any,
     grad_rgb: Any, grad_alpha: Any, grad_depth: Any, slots: Any, part: int, parts: int,
 ) -> None:  # fmt: skip
     """Writes to `slots` `[pairs, 10]` the gradient of every (splat, tile) pair of its share of the tiles.
@@ -58,9 +57,7 @@ def blend_backward_part(
     alpha / (1 - alpha), which are safe because alpha is capped. Blocks whose pixels have no gradient are left out.
     """
     alpha_max, alpha_min = limits[0], limits[1]
-    p = all_planes[part]
-    group = np.empty((GROUP, SPLAT_SIZE), np.float32)
-    sums = np.empty(GRADIENT_SIZE * LANES, np.float32)
+    p, group, sums = all_planes[part], all_groups[part], all_sums[part]
     for number in range(part, tiles.shape[0], parts):
         tile = tiles[number]
         tile_x, tile_y = tile % grid[2] * TILE_WIDTH, tile // grid[2] * TILE_HEIGHT

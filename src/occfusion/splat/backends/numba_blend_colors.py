@@ -29,7 +29,6 @@ from occfusion.splat.backends.numba_layout import (
     P_BLUE,
     P_GREEN,
     P_RED,
-    SPLAT_SIZE,
     THROUGH,
     TILE_HEIGHT,
     TILE_WIDTH,
@@ -39,8 +38,8 @@ from occfusion.splat.backends.numba_layout import (
 
 @kernel
 def blend_colors_backward_part(
-    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, grid: Any, limits: Any,
-    background: Any, alpha: Any, depth: Any, blended: Any, kept: Any, grad_rgb: Any, slots: Any,
+    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_sums: Any,
+    grid: Any, limits: Any, background: Any, alpha: Any, depth: Any, blended: Any, kept: Any, grad_rgb: Any, slots: Any,
     part: int, parts: int,
 ) -> None:  # fmt: skip
     """Writes to `slots` `[pairs, 10]` the colour gradient of every (splat, tile) pair, zero for all else.
@@ -49,9 +48,7 @@ def blend_colors_backward_part(
     depend on what else was asked for.
     """
     alpha_max, alpha_min = limits[0], limits[1]
-    p = all_planes[part]
-    group = np.empty((GROUP, SPLAT_SIZE), np.float32)
-    sums = np.empty(3 * LANES, np.float32)
+    p, group, sums = all_planes[part], all_groups[part], all_sums[part]
     absent = np.empty((0, 1), np.float32)
     for number in range(part, tiles.shape[0], parts):
         tile = tiles[number]

@@ -39,6 +39,9 @@ GROUP = 16
 """Splats of a list that are fetched, and whose blocks are found, together: their memory is waited for at once."""
 
 SHAPE_SIZE = 8
+
+GROUP_ROWS = GROUP + SHAPE_SIZE
+"""Rows of the working space of a group: its splats, and `shapes` of `reached_blocks`, which has as many columns."""
 HALF = np.float32(0.5)
 
 DE_BRUIJN = 0x077CB531

@@ -16,13 +16,12 @@ from occfusion.splat.backends.numba_layout import (
     G_UY,
     G_V,
     G_VY,
-    GRADIENT_SIZE,
 )
 
 
 @inline
-def sum_pairs(pair_slots: Any, first: int, end: int, out: Any) -> bool:
-    """Writes the sum of a splat's gradients over tiles to `out`; returns whether any is not zero."""
+def sum_pairs(pair_slots: Any, first: int, end: int) -> tuple[float, ...]:
+    """Returns the ten sums of a splat's gradients over tiles, in the order of the columns, in float64."""
     u = v = ux = uy = vy = power = red = green = blue = depth = 0.0
     for slot in range(first, end):
         row = pair_slots[slot]
@@ -36,9 +35,4 @@ def sum_pairs(pair_slots: Any, first: int, end: int, out: Any) -> bool:
         green += row[G_GREEN]
         blue += row[G_BLUE]
         depth += row[G_DEPTH]
-    out[G_U], out[G_V], out[G_UX], out[G_UY], out[G_VY], out[G_POWER] = u, v, ux, uy, vy, power
-    out[G_RED], out[G_GREEN], out[G_BLUE], out[G_DEPTH] = red, green, blue, depth
-    seen = False
-    for k in range(GRADIENT_SIZE):
-        seen |= out[k] != 0
-    return seen
+    return u, v, ux, uy, vy, power, red, green, blue, depth

@@ -54,81 +54,97 @@ def unit_quaternion(quats: Any, i: int) -> tuple[float, float, float, float, flo
 
 
 @inline
-def fill_root(quats: Any, scales: Any, i: int, out: Any) -> None:
-    """Writes rotation times scales, the square root of the covariance, to `out` `[9]`, row by row."""
-    w, x, y, z, _ = unit_quaternion(quats, i)
-    sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-    out[0] = (1 - 2 * (y * y + z * z)) * sx
-    out[1] = 2 * (x * y - w * z) * sy
-    out[2] = 2 * (x * z + w * y) * sz
-    out[3] = 2 * (x * y + w * z) * sx
-    out[4] = (1 - 2 * (x * x + z * z)) * sy
-    out[5] = 2 * (y * z - w * x) * sz
-    out[6] = 2 * (x * z - w * y) * sx
-    out[7] = 2 * (y * z + w * x) * sy
-    out[8] = (1 - 2 * (x * x + y * y)) * sz
+def rotation_of(w: float, x: float, y: float, z: float) -> tuple[float, ...]:
+    """Returns the matrix of a unit quaternion, 9 numbers row by row."""
+    return (
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip
 
 
 @inline
-def fill_affine(camera: Any, x: float, y: float, z: float, out: Any) -> None:
-    """Writes the two rows of Jacobian times view rotation to `out` `[6]`; `camera` is by `pack_camera`."""
+def affine_of(camera: Any, x: float, y: float, z: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Returns the two rows of Jacobian times view rotation; `camera` is by `pack_camera`."""
     inverse_z = 1 / z
     slope_x = min(max(x * inverse_z, camera[16]), camera[17])
     slope_y = min(max(y * inverse_z, camera[18]), camera[19])
     kx, ky = camera[12] * inverse_z, camera[13] * inverse_z
-    for j in range(3):
-        out[j] = kx * (camera[j] - slope_x * camera[6 + j])
-        out[3 + j] = ky * (camera[3 + j] - slope_y * camera[6 + j])
+    row_x = (
+        kx * (camera[0] - slope_x * camera[6]),
+        kx * (camera[1] - slope_x * camera[7]),
+        kx * (camera[2] - slope_x * camera[8]),
+    )
+    row_y = (
+        ky * (camera[3] - slope_y * camera[6]),
+        ky * (camera[4] - slope_y * camera[7]),
+        ky * (camera[5] - slope_y * camera[8]),
+    )
+    return row_x, row_y
 
 
 @inline
-def plane_from_root(affine: Any, root: Any) -> tuple[float, float, float, float]:
-    """Returns a, b, c and the determinant of the projected covariance from its square root."""
-    rx0 = affine[0] * root[0] + affine[1] * root[3] + affine[2] * root[6]
-    rx1 = affine[0] * root[1] + affine[1] * root[4] + affine[2] * root[7]
-    rx2 = affine[0] * root[2] + affine[1] * root[5] + affine[2] * root[8]
-    ry0 = affine[3] * root[0] + affine[4] * root[3] + affine[5] * root[6]
-    ry1 = affine[3] * root[1] + affine[4] * root[4] + affine[5] * root[7]
-    ry2 = affine[3] * root[2] + affine[4] * root[5] + affine[5] * root[8]
+def dot(p: tuple[float, ...], q0: float, q1: float, q2: float) -> float:
+    """Returns the product of two vectors."""
+    return p[0] * q0 + p[1] * q1 + p[2] * q2
+
+
+@inline
+def plane_from_root(
+    row_x: tuple[float, ...],
+    row_y: tuple[float, ...],
+    rotation: tuple[float, ...],
+    sx: float,
+    sy: float,
+    sz: float,
+) -> tuple[float, float, float, float]:
+    """Returns a, b, c and the determinant of the projected covariance; its square root is rotation times scales."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation
+    rx0, ry0 = dot(row_x, r00, r10, r20) * sx, dot(row_y, r00, r10, r20) * sx
+    rx1, ry1 = dot(row_x, r01, r11, r21) * sy, dot(row_y, r01, r11, r21) * sy
+    rx2, ry2 = dot(row_x, r02, r12, r22) * sz, dot(row_y, r02, r12, r22) * sz
     c0, c1, c2 = rx1 * ry2 - rx2 * ry1, rx2 * ry0 - rx0 * ry2, rx0 * ry1 - rx1 * ry0
     a, b = rx0 * rx0 + rx1 * rx1 + rx2 * rx2, rx0 * ry0 + rx1 * ry1 + rx2 * ry2
     return a, b, ry0 * ry0 + ry1 * ry1 + ry2 * ry2, c0 * c0 + c1 * c1 + c2 * c2
 
 
 @inline
-def plane_from_covariance(affine: Any, cov: Any, i: int) -> tuple[float, float, float, float]:
+def plane_from_covariance(
+    row_x: tuple[float, ...], row_y: tuple[float, ...], cov: Any, i: int
+) -> tuple[float, float, float, float]:
     """Returns a, b, c and the determinant of the projected covariance; the symmetric part is used."""
     xx, yy, zz = np.float64(cov[i, 0, 0]), np.float64(cov[i, 1, 1]), np.float64(cov[i, 2, 2])
     xy = 0.5 * (np.float64(cov[i, 0, 1]) + np.float64(cov[i, 1, 0]))
     xz = 0.5 * (np.float64(cov[i, 0, 2]) + np.float64(cov[i, 2, 0]))
     yz = 0.5 * (np.float64(cov[i, 1, 2]) + np.float64(cov[i, 2, 1]))
-    p0, p1, p2, q0, q1, q2 = affine[0], affine[1], affine[2], affine[3], affine[4], affine[5]
-    sp0, sp1, sp2 = xx * p0 + xy * p1 + xz * p2, xy * p0 + yy * p1 + yz * p2, xz * p0 + yz * p1 + zz * p2
-    sq0, sq1, sq2 = xx * q0 + xy * q1 + xz * q2, xy * q0 + yy * q1 + yz * q2, xz * q0 + yz * q1 + zz * q2
-    a = max(p0 * sp0 + p1 * sp1 + p2 * sp2, 0.0)
-    b = q0 * sp0 + q1 * sp1 + q2 * sp2
-    c = max(q0 * sq0 + q1 * sq1 + q2 * sq2, 0.0)
+    sq0, sq1, sq2 = dot(row_y, xx, xy, xz), dot(row_y, xy, yy, yz), dot(row_y, xz, yz, zz)
+    a = max(dot(row_x, dot(row_x, xx, xy, xz), dot(row_x, xy, yy, yz), dot(row_x, xz, yz, zz)), 0.0)
+    b = dot(row_x, sq0, sq1, sq2)
+    c = max(dot(row_y, sq0, sq1, sq2), 0.0)
     return a, b, c, max(a * c - b * b, 0.0)
 
 
 @kernel
 def project_part(
     means: Any, quats: Any, scales: Any, covariances: Any, opacities: Any, colors: Any, offsets: Any,
-    camera: Any, window: Any, options: Any, degree: int, splats: Any, radii: Any, part: int, parts: int,
+    camera: Any, window: Any, options: Any, degree: int, splats: Any, radii: Any, all_basis: Any,
+    part: int, parts: int,
 ) -> None:  # fmt: skip
     """Writes a row of `splats` `[N, 16]` and of `radii` for each visible Gaussian; REACH is 0 for the others.
 
-    Absent inputs have no rows. `window` is the range of pixel centres wanted (x0, x1, y0, y1);
-    `options` is (near, dilation, alpha_min, antialiased); `degree` is -1 for plain colours.
+    Absent inputs have no rows; `colors` are `[N, 3 K]`. `window` is the range of pixel centres wanted (x0, x1, y0, y1);
+    `options` is (near, dilation, alpha_min, antialiased); `degree` is -1 for plain colours;
+    `all_basis` is working space.
     """
     n = means.shape[0]
     near, dilation, alpha_min, antialiased = options[0], options[1], options[2], options[3] != 0
     log_alpha_min = math.log(alpha_min)
-    root, affine, basis = np.empty(9), np.empty(6), np.empty(16, np.float32)
-    bands = (degree + 1) ** 2
+    basis = all_basis[part]
+    bands = (degree + 1) * (degree + 1)
     for begin in range(part * PART, n, parts * PART):
         for i in range(begin, min(n, begin + PART)):
-            splats[i, REACH] = 0
+            splat = splats[i]
+            splat[REACH] = 0
             wx, wy, wz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
             z = camera[6] * wx + camera[7] * wy + camera[8] * wz + camera[11]
             opacity = np.float64(opacities[i])
@@ -140,12 +156,13 @@ def project_part(
             if offsets.shape[0] > 0:
                 mx += offsets[i, 0]
                 my += offsets[i, 1]
-            fill_affine(camera, x, y, z, affine)
+            row_x, row_y = affine_of(camera, x, y, z)
             if covariances.shape[0] > 0:
-                a, b, c, flat = plane_from_covariance(affine, covariances, i)
+                a, b, c, flat = plane_from_covariance(row_x, row_y, covariances, i)
             else:
-                fill_root(quats, scales, i, root)
-                a, b, c, flat = plane_from_root(affine, root)
+                qw, qx, qy, qz, _ = unit_quaternion(quats, i)
+                sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
+                a, b, c, flat = plane_from_root(row_x, row_y, rotation_of(qw, qx, qy, qz), sx, sy, sz)
             det = flat + dilation * (a + c) + dilation * dilation
             a += dilation
             c += dilation
@@ -166,32 +183,33 @@ def project_part(
                 continue
             radii[i, 0] = rx
             radii[i, 1] = ry
-            splats[i, X_WHOLE] = np.floor(mx)
-            splats[i, X_PART] = mx - np.floor(mx)
-            splats[i, Y_WHOLE] = np.floor(my)
-            splats[i, Y_PART] = my - np.floor(my)
-            splats[i, L1] = root_c / root_det
-            splats[i, M] = -b / (root_c * root_det)
-            splats[i, L2] = 1 / root_c
-            splats[i, LOG_OPACITY] = log_opacity + EXP_SHIFT
-            splats[i, DEPTH] = z
-            splats[i, REACH] = reach
-            splats[i, HALF_HEIGHT] = ry
-            splats[i, TURN] = b * root_reach / root_a
-            splats[i, INVERSE_L1] = root_det / root_c
+            splat[X_WHOLE] = np.floor(mx)
+            splat[X_PART] = mx - np.floor(mx)
+            splat[Y_WHOLE] = np.floor(my)
+            splat[Y_PART] = my - np.floor(my)
+            splat[L1] = root_c / root_det
+            splat[M] = -b / (root_c * root_det)
+            splat[L2] = 1 / root_c
+            splat[LOG_OPACITY] = log_opacity + EXP_SHIFT
+            splat[DEPTH] = z
+            splat[REACH] = reach
+            splat[HALF_HEIGHT] = ry
+            splat[TURN] = b * root_reach / root_a
+            splat[INVERSE_L1] = root_det / root_c
             if degree < 0:
-                splats[i, RED] = colors[i, 0, 0]
-                splats[i, GREEN] = colors[i, 0, 1]
-                splats[i, BLUE] = colors[i, 0, 2]
+                splat[RED] = colors[i, 0]
+                splat[GREEN] = colors[i, 1]
+                splat[BLUE] = colors[i, 2]
                 continue
             dx, dy, dz = wx - camera[20], wy - camera[21], wz - camera[22]
             inverse = 1 / math.sqrt(dx * dx + dy * dy + dz * dz)
             fill_basis(dx * inverse, dy * inverse, dz * inverse, degree, basis)
             red = green = blue = np.float32(0.5)
+            row = colors[i]
             for k in range(bands):
-                red += basis[k] * colors[i, k, 0]
-                green += basis[k] * colors[i, k, 1]
-                blue += basis[k] * colors[i, k, 2]
-            splats[i, RED] = max(red, np.float32(0))
-            splats[i, GREEN] = max(green, np.float32(0))
-            splats[i, BLUE] = max(blue, np.float32(0))
+                red += basis[k] * row[3 * k]
+                green += basis[k] * row[3 * k + 1]
+                blue += basis[k] * row[3 * k + 2]
+            splat[RED] = max(red, np.float32(0))
+            splat[GREEN] = max(green, np.float32(0))
+            splat[BLUE] = max(blue, np.float32(0))

@@ -1,0 +1,72 @@
+"""Where nothing is cached yet, a second process compiles the last kernel of all while this one compiles the others.
+
+The last one takes a third of the time, as much as the second process needs for itself besides. Compiling holds the
+interpreter's lock, so threads would not help. The second process leaves its work in the cache on disk, from which
+this one loads it. Whatever goes wrong there costs time alone: what is not in the cache is compiled here.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from occfusion.splat.backends.numba_project_backward import project_backward_part
+from occfusion.threads import usable_cores
+
+PROGRAM = """
+import gc
+from occfusion.splat.backends.numba_gradient import compile_last
+gc.disable()  # a tenth of the time, in a process that keeps what it makes
+compile_last()
+"""
+
+_helpers: list[subprocess.Popen[bytes]] = []
+"""The process that compiles, while it runs."""
+
+
+def start() -> None:
+    """Starts the second process where it would help: once, with a second core, with nothing in the cache."""
+    kernel: Any = project_backward_part
+    if _helpers or kernel.signatures or is_cached(kernel):
+        return
+    if not sys.executable or usable_cores() < 2:
+        return
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    _helpers.append(
+        subprocess.Popen(
+            [sys.executable, "-c", PROGRAM], env=environment,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )
+    )  # fmt: skip
+
+
+def wait() -> None:
+    """Waits until the second process, if there is one, has finished."""
+    while _helpers:
+        _helpers.pop().wait()
+
+
+def is_cached(kernel: Any) -> bool:
+    """Returns whether the cache has an index of a kernel that is no older than its source.
+
+    A guess: the index may be another processor's. True as well where compiled code cannot be cached, since a second
+    process could leave its work nowhere.
+    """
+    function, folder = kernel.py_func, kernel.stats.cache_path
+    if folder is None:
+        return True
+    source = Path(function.__code__.co_filename)
+    indices = Path(folder).glob(f"{source.stem}.{function.__qualname__}-*.nbi")
+    return any(index.stat().st_mtime >= source.stat().st_mtime for index in indices)
+
+
+@atexit.register
+def _stop() -> None:
+    while _helpers:
+        helper = _helpers.pop()
+        helper.kill()
+        helper.wait()
