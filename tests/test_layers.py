@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "src" / "occfusion"
 
 # the parts of the package from the ground up; a part is a module or a folder directly under `occfusion`
 LAYERS = [
-    {"types", "errors"},
+    {"types", "errors", "threads"},
     {"geometry", "splat", "ssim", "losses", "metrics", "files", "memory"},
     {"human", "perceptual"},
     {"synth", "data"},
@@ -22,7 +22,6 @@ LAYERS = [
     {"stages"},
     {
         "processes",
-        "threads",
         "config",
         "compose",
         "needs",
