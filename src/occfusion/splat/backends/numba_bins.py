@@ -44,7 +44,7 @@ def sort_by_depth(splats: Any, means: Any, camera: Any) -> Any:
     index, keys = np.empty((2, len(splats)), np.int32), np.empty((2, len(splats)), np.uint32)
     visible = sort_by_bits(splats.view(np.uint32), index, keys, np.empty(1 << RADIX_BITS, np.int64))
     order = index[SORTED, :visible]
-    depths = splats[order, DEPTH]
+    depths = keys[SORTED, :visible]
     alike = depths[1:] == depths[:-1]
     if not alike.any():
         return order
@@ -137,7 +137,7 @@ def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) 
     gradient slot, `[pairs, 2]`, front to back. The slots of a Gaussian follow one another, from its number in
     `[N + 1]`, so that its gradient is the sum over a run, and the runs are in the order of the Gaussians.
     """
-    packed = splats[order]
+    packed = np.take(splats, order, axis=0)
     by_rank = np.zeros(len(order) + 1, np.int32)  # the first pair of each
     pairs = np.empty((max(1024, 4 * len(order)), 2), np.int32)  # tile and rank
     count = list_pairs(packed, x, y, across, down, by_rank, pairs)

@@ -152,7 +152,8 @@ def project_part(
                 continue
             x = camera[0] * wx + camera[1] * wy + camera[2] * wz + camera[9]
             y = camera[3] * wx + camera[4] * wy + camera[5] * wz + camera[10]
-            mx, my = camera[12] * x / z + camera[14], camera[13] * y / z + camera[15]
+            inverse_z = 1 / z
+            mx, my = camera[12] * x * inverse_z + camera[14], camera[13] * y * inverse_z + camera[15]
             if offsets.shape[0] > 0:
                 mx += offsets[i, 0]
                 my += offsets[i, 1]
@@ -187,15 +188,18 @@ def project_part(
             splat[X_PART] = mx - np.floor(mx)
             splat[Y_WHOLE] = np.floor(my)
             splat[Y_PART] = my - np.floor(my)
-            splat[L1] = root_c / root_det
-            splat[M] = -b / (root_c * root_det)
-            splat[L2] = 1 / root_c
+            # one division for both: in float64 they cost most of all here, and rounding is no matter
+            inverse = 1 / (root_c * root_det)
+            inverse_c, inverse_det = root_det * inverse, root_c * inverse
+            splat[L1] = root_c * inverse_det
+            splat[M] = -b * inverse
+            splat[L2] = inverse_c
             splat[LOG_OPACITY] = log_opacity + EXP_SHIFT
             splat[DEPTH] = z
             splat[REACH] = reach
             splat[HALF_HEIGHT] = ry
             splat[TURN] = b * root_reach / root_a
-            splat[INVERSE_L1] = root_det / root_c
+            splat[INVERSE_L1] = root_det * inverse_c
             if degree < 0:
                 splat[RED] = colors[i, 0]
                 splat[GREEN] = colors[i, 1]

@@ -184,8 +184,8 @@ def project_backward_part(
                 g_colors[i, 0], g_colors[i, 1], g_colors[i, 2] = g_red, g_green, g_blue
             wx, wy, wz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
             g_wx = g_wy = g_wz = 0.0
+            dx, dy, dz, inverse = ray_of(wx, wy, wz, camera) if degree >= 0 else (0.0, 0.0, 0.0, 0.0)
             if degree >= 0 and g_colors.shape[0] > 0:
-                dx, dy, dz, _ = ray_of(wx, wy, wz, camera)
                 fill_basis(dx, dy, dz, degree, basis)
                 row = g_colors[i]
                 for k in range(bands):
@@ -195,7 +195,6 @@ def project_backward_part(
                         basis[k] * g_blue,
                     )
             if degree > 0 and wants_place:
-                dx, dy, dz, inverse = ray_of(wx, wy, wz, camera)
                 row = colors[i]
                 for k in range(bands):
                     g_basis[k] = row[3 * k] * g_red + row[3 * k + 1] * g_green + row[3 * k + 2] * g_blue
