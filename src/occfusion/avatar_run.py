@@ -162,7 +162,7 @@ def _optim_stage(run_: Run) -> tuple[AvatarStage, float]:
     stage = OptimStage(
         run_.avatar,
         settings.optim,
-        perceptual=run_.perceptual if settings.optim.lambda_lpips else None,
+        perceptual=run_.training_metric if settings.optim.lambda_lpips else None,
         densifier=_make_densifier(settings.optim, settings.optim.lambda_rgb),
         distiller=_make_distiller(run_),
         backgrounds=_backgrounds(run_),
@@ -201,7 +201,7 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
         refine,
         references,
         _backgrounds(run_),
-        perceptual=run_.perceptual if refine.lambda_lpips else None,
+        perceptual=run_.training_metric if refine.lambda_lpips else None,
         densifier=_make_densifier(refine, refine.lambda_rgb),
         backend=run_.backend,
         seed=settings.seed,

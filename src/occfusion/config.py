@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from occfusion.errors import ConfigError
+from occfusion.perceptual import PRECISIONS
 from occfusion.priors.distillation import REDUCTIONS, SCHEDULES, WEIGHTINGS
 from occfusion.stages.settings import (
     AvatarSettings,
@@ -63,10 +64,11 @@ class VariantSettings:
 
 @dataclass
 class PerceptualSettings:
-    """Which perceptual metric, and where its backbone lies when no package carries it."""
+    """Which perceptual metric, where its backbone lies when no package carries it, and a training term's precision."""
 
     name: str = "stlpips"
     vgg_path: str | None = None
+    precision: str = "float32"
 
 
 @dataclass
@@ -213,6 +215,7 @@ def _check_choices(settings: Settings) -> None:
     _check_range("refine.mask_hidden", settings.refine.mask_hidden, 0.0, 1.0)
     _check_range("refine.mask_hidden_fitting", settings.refine.mask_hidden_fitting, 0.0, 1.0)
     _check_in("refine.lpips_pixels", settings.refine.lpips_pixels, ("visible", "all"))
+    _check_in("perceptual.precision", settings.perceptual.precision, PRECISIONS)
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
     _check_in("trainer.strategy", settings.trainer.strategy, STRATEGIES)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import torch
+
 from occfusion.config import Settings
 from occfusion.needs import (
     Decision,
@@ -20,6 +22,7 @@ from occfusion.needs import (
     sds_decisions,
     stage_decisions,
 )
+from occfusion.perceptual import training_dtype
 from occfusion.priors.moments import Moment
 from occfusion.stages.settings import AvatarSettings
 
@@ -71,6 +74,17 @@ def make_plan(
     plan.append(Decision("pixels outside the person's padded box", False, box_reason(moments)))
     plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
     return plan
+
+
+def precision_decisions(settings: Settings, plan: list[Decision], device: torch.device) -> list[Decision]:
+    """Returns whether single precision is left out of the perceptual term, where a plan has one and that was asked."""
+    asked = settings.perceptual.precision
+    if asked == "float32" or not any(d.used and d.part.startswith("loss term lpips") for d in plan):
+        return []
+    single = training_dtype(asked, device) == torch.float32
+    natively = f"{device.type} {'does not multiply' if single else 'multiplies'} bfloat16 natively"
+    reason = f"perceptual.precision = {asked}" + (f"; this {natively}" if asked == "auto" else "")
+    return [Decision("single precision in the perceptual term", single, reason)]
 
 
 def reached_sh_degree(settings: Settings) -> int:

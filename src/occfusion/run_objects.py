@@ -16,7 +16,7 @@ from occfusion.human import Avatar, PoseSpline
 from occfusion.init_run import look_at_training_frames
 from occfusion.inpaint.registry import check_inpainter
 from occfusion.needs import Decision, as_planned, may_leave_out_networks, with_everything
-from occfusion.perceptual import PerceptualMetric, load_perceptual
+from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
 from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior
 from occfusion.processes import is_helper, local_rank
@@ -52,6 +52,12 @@ class Run:
     data_hash: str
     stages: list[str]
 
+    @property
+    def training_metric(self) -> PerceptualMetric | None:
+        """The perceptual metric of a loss term, in the precision that is asked for."""
+        dtype = training_dtype(self.settings.perceptual.precision, device_of(self.settings))
+        return None if self.perceptual is None else self.perceptual.with_dtype(dtype)
+
     def render(self, frame: Frame) -> Rendering:
         """Returns the avatar as the frame's camera sees it."""
         return render_frame(self.avatar, frame, self.backend)
@@ -75,6 +81,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     if moments is not None and settings.plan == "full":
         moments = with_everything(moments)
     decisions = planning.make_plan(settings, summary, backend, moments)
+    decisions += planning.precision_decisions(settings, decisions, device_of(settings))
     _check_priors(settings, decisions)
     folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
     if not is_helper():

@@ -2,5 +2,13 @@
 
 from occfusion.perceptual.crop import random_crop_box
 from occfusion.perceptual.metric import Features, PerceptualMetric, load_perceptual
+from occfusion.perceptual.precision import PRECISIONS, training_dtype
 
-__all__ = ["Features", "PerceptualMetric", "load_perceptual", "random_crop_box"]
+__all__ = [
+    "PRECISIONS",
+    "Features",
+    "PerceptualMetric",
+    "load_perceptual",
+    "random_crop_box",
+    "training_dtype",
+]

@@ -56,6 +56,10 @@ class PerceptualMetric(nn.Module):
         other.centred, other.name = False, unit_name(self.name)
         return other
 
+    def with_dtype(self, dtype: torch.dtype) -> PerceptualMetric:
+        """Returns this metric computed in another type, for a training term: a figure is named for float32 alone."""
+        return self if dtype == self.network.dtype else copy.deepcopy(self).to(dtype)
+
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
         """Returns the distance of two pictures, a scalar that is differentiable in the first of them.
 
