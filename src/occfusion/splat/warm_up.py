@@ -16,8 +16,8 @@ def warm_up(backend: str, device: torch.device) -> float:
     """Renders a tiny picture forwards and backwards; returns the seconds that it took.
 
     After this no call in float32 compiles anything, but for the gradient of colours alone, which no stage asks for:
-    `numba` needs half a minute where its cache is empty and about a second where it is not, `gsplat` builds or loads
-    its extension.
+    `numba` needs about ten seconds where its cache is empty and one where it is not, `gsplat` builds or loads its
+    extension.
 
     Args:
         backend: a resolved backend, not `auto`.
