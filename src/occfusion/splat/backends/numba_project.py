@@ -109,14 +109,22 @@ def plane_from_root(
 
 
 @inline
+def symmetric_part(cov: Any, i: int) -> tuple[float, ...]:
+    """Returns xx, yy, zz, xy, xz, yz of a covariance's symmetric part."""
+    return (
+        np.float64(cov[i, 0, 0]), np.float64(cov[i, 1, 1]), np.float64(cov[i, 2, 2]),
+        0.5 * (np.float64(cov[i, 0, 1]) + np.float64(cov[i, 1, 0])),
+        0.5 * (np.float64(cov[i, 0, 2]) + np.float64(cov[i, 2, 0])),
+        0.5 * (np.float64(cov[i, 1, 2]) + np.float64(cov[i, 2, 1])),
+    )  # fmt: skip
+
+
+@inline
 def plane_from_covariance(
     row_x: tuple[float, ...], row_y: tuple[float, ...], cov: Any, i: int
 ) -> tuple[float, float, float, float]:
     """Returns a, b, c and the determinant of the projected covariance; the symmetric part is used."""
-    xx, yy, zz = np.float64(cov[i, 0, 0]), np.float64(cov[i, 1, 1]), np.float64(cov[i, 2, 2])
-    xy = 0.5 * (np.float64(cov[i, 0, 1]) + np.float64(cov[i, 1, 0]))
-    xz = 0.5 * (np.float64(cov[i, 0, 2]) + np.float64(cov[i, 2, 0]))
-    yz = 0.5 * (np.float64(cov[i, 1, 2]) + np.float64(cov[i, 2, 1]))
+    xx, yy, zz, xy, xz, yz = symmetric_part(cov, i)
     sq0, sq1, sq2 = dot(row_y, xx, xy, xz), dot(row_y, xy, yy, yz), dot(row_y, xz, yz, zz)
     a = max(dot(row_x, dot(row_x, xx, xy, xz), dot(row_x, xy, yy, yz), dot(row_x, xz, yz, zz)), 0.0)
     b = dot(row_x, sq0, sq1, sq2)

@@ -25,6 +25,7 @@ from occfusion.splat.backends.numba_project import (
     plane_from_covariance,
     plane_from_root,
     rotation_of,
+    symmetric_part,
     unit_quaternion,
 )
 from occfusion.splat.limits import COMPENSATION_FLOOR
@@ -121,10 +122,7 @@ def covariance_gradient(
     g_cov: Any,
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Writes the gradient of the (symmetrised) covariance; returns the affine rows'."""
-    xx, yy, zz = np.float64(cov[i, 0, 0]), np.float64(cov[i, 1, 1]), np.float64(cov[i, 2, 2])
-    xy = 0.5 * (np.float64(cov[i, 0, 1]) + np.float64(cov[i, 1, 0]))
-    xz = 0.5 * (np.float64(cov[i, 0, 2]) + np.float64(cov[i, 2, 0]))
-    yz = 0.5 * (np.float64(cov[i, 1, 2]) + np.float64(cov[i, 2, 1]))
+    xx, yy, zz, xy, xz, yz = symmetric_part(cov, i)
     p0, p1, p2 = dot(row_x, xx, xy, xz), dot(row_x, xy, yy, yz), dot(row_x, xz, yz, zz)
     q0, q1, q2 = dot(row_y, xx, xy, xz), dot(row_y, xy, yy, yz), dot(row_y, xz, yz, zz)
     if g_cov.shape[0] > 0:
