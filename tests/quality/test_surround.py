@@ -1,5 +1,6 @@
 """Mostly black pictures: the perceptual metric computed where they are not black is that of the whole."""
 
+import copy
 import time
 
 import pytest
@@ -13,6 +14,8 @@ from occfusion.perceptual.weights import MetricWeights
 
 Box = tuple[int, int, int, int]
 RELATIVE = 1e-5
+ABSOLUTE = 1e-8
+"""Two pictures that hardly differ: what is left of rounding in features of length 1."""
 
 
 def made_up(*, antialiased: bool, centred: bool = True) -> PerceptualMetric:
@@ -80,12 +83,41 @@ def test_published_weights_both_calls_and_other_sizes_in_turn() -> None:
             assert float(metric_.over_black(a, b)) == pytest.approx(float(metric_(a, b)), rel=RELATIVE)
 
 
+@pytest.mark.parametrize("share", [0.3, 0.01, 1e-4])
+@pytest.mark.parametrize(("height", "width", "box"), [*CASES[:4], (120, 110, (3, 3, 100, 110))])
+def test_pictures_that_hardly_differ_are_like_in_double_precision(
+    height: int, width: int, box: Box, share: float
+) -> None:
+    metric = load_perceptual("stlpips")
+    a, b = pair(height, width, box)
+    b = a + share * (b - a)
+    truth = float(copy.deepcopy(metric).double()(a.double(), b.double()))
+    assert float(metric.over_black(a, b)) == pytest.approx(truth, rel=RELATIVE, abs=ABSOLUTE)
+
+
+def test_separate_lit_parts_and_a_ring() -> None:
+    """Regions that grow together layer by layer, and a hole that closes."""
+    metric = made_up(antialiased=True)
+    a, b = (torch.zeros(200, 170, 3) for _ in range(2))
+    for y, x in ((5, 5), (60, 20), (61, 150), (190, 100)):
+        a[y, x], b[y, x + 1] = 1.0, 0.5
+    assert float(metric.over_black(a, b)) == pytest.approx(float(metric(a, b)), rel=RELATIVE)
+    a[40:160, 30:140], a[50:150, 40:130] = 0.7, 0.0
+    assert float(metric.over_black(a, b)) == pytest.approx(float(metric(a, b)), rel=RELATIVE)
+
+
+def test_other_types_and_devices_are_computed_plainly() -> None:
+    metric = copy.deepcopy(load_perceptual("stlpips")).double()
+    a, b = pair(96, 120, (40, 30, 20, 30))
+    assert float(metric.over_black(a.double(), b.double())) == float(metric(a.double(), b.double()))
+
+
 def test_only_what_is_lit_is_computed_where_that_pays() -> None:
     metric = made_up(antialiased=True)
     black = torch.zeros(80, 80, 3)
     assert float(metric.over_black(black, black)) == 0.0
     lit, other = torch.rand(2, 80, 80, 3)
-    assert float(metric.over_black(lit, other)) == float(metric(lit, other))
+    assert float(metric.over_black(lit, other)) == pytest.approx(float(metric(lit, other)), rel=RELATIVE)
     not_a_number = black.clone()
     not_a_number[3, 3] = float("nan")
     assert torch.isnan(metric.over_black(not_a_number, black))

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from occfusion.errors import ConfigError
 from occfusion.perceptual.network import VggFeatures
-from occfusion.perceptual.surround import BlackSurround
+from occfusion.perceptual.surround import BlackSurround, mean_distance
 from occfusion.perceptual.weights import MetricWeights, load_lpips, load_stlpips
 
 NORM_EPS = 1e-10
@@ -19,7 +19,7 @@ NORM_EPS = 1e-10
 SMALLEST = 64
 """Pixels of a side under which a mostly black picture is computed as a whole."""
 WORTH_IT = 0.6
-"""Share of lit pixels above which a mostly black picture is computed as a whole."""
+"""Share of the lit pixels' box above which nothing is taken as known."""
 Features = list[Tensor]
 """Unit-length features of a picture, `[h, w, C]` for each of the five blocks."""
 
@@ -83,25 +83,23 @@ class PerceptualMetric(nn.Module):
             a: `[H, W, 3]` in 0..1.
             b: the same shape.
         """
-        if a.shape != b.shape:
-            return self(a, b)  # refuses them
+        compiled = a.device.type == "cpu" and self.network.dtype == torch.float32
+        if a.shape != b.shape or not compiled or min(a.shape[:2]) < SMALLEST:
+            return self(a, b)  # refuses pictures of two shapes
         lit = ((a.clamp(0, 1) != 0) | (b.clamp(0, 1) != 0)).any(dim=2)  # what is not a number is lit
         rows, columns = lit.any(dim=1).nonzero(), lit.any(dim=0).nonzero()
-        if min(lit.shape) < SMALLEST or len(rows) == 0:
-            return self(a, b)
-        y, x = int(rows[0]), int(columns[0])
-        h, w = int(rows[-1]) + 1 - y, int(columns[-1]) + 1 - x
+        if len(rows) == 0:
+            return a.new_zeros(())
+        h, w = int(rows[-1] - rows[0]) + 1, int(columns[-1] - columns[0]) + 1
         if h * w > WORTH_IT * lit.numel():
-            return self(a, b)
-        pictures = torch.stack([a, b]).to(self.network.dtype).clamp(0, 1).permute(0, 3, 1, 2)
+            lit = torch.ones_like(lit)
+        pictures = torch.stack([a, b]).float().clamp(0, 1).permute(0, 3, 1, 2)
         pictures = pictures * 2 - 1 if self.centred else pictures
-        total = a.new_zeros(())
-        parts = self._surround.parts(pictures, (x, y, w, h), -1.0 if self.centred else 0.0)
-        for number, part in enumerate(parts):
+        total = 0.0
+        for number, part in enumerate(self._surround.parts(pictures, lit, -1.0 if self.centred else 0.0)):
             head: Tensor = getattr(self, f"head{number}")
-            first, second = (_unit(values.permute(1, 2, 0))[0] for values in part.values)
-            total = total + ((first - second).square() @ head).sum() / part.positions
-        return total
+            total += mean_distance(part, head, NORM_EPS)
+        return a.new_tensor(total)
 
     @torch.no_grad()
     def features(self, picture: Tensor) -> Features:

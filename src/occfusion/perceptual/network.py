@@ -94,14 +94,30 @@ class VggFeatures(nn.Module):
 
     def convolve(self, x: Tensor, name: str, padding: int = 1) -> Tensor:
         """Returns the rectified result of one of the 13 convolutions."""
-        weight, bias = getattr(self, f"{name}_weight"), getattr(self, f"{name}_bias")
+        weight, bias = self.layer(name)
         return F.relu_(F.conv2d(x, weight, bias, padding=padding))
+
+    def layer(self, name: str) -> tuple[Tensor, Tensor]:
+        """Returns weight and bias of one of the 13 convolutions."""
+        return getattr(self, f"{name}_weight"), getattr(self, f"{name}_bias")
 
     def pool(self, x: Tensor) -> Tensor:
         """Returns a map between two blocks at half the size."""
         if not self.antialiased:
             return F.max_pool2d(x, 2)
         return self.blur(F.pad(F.max_pool2d(x, 2, stride=1), (_BLUR_PADDING,) * 4, mode="reflect"))
+
+    def reach(self, mask: Tensor, *, pools: bool) -> Tensor:
+        """Returns which results of a convolution or a pooling depend on a mask's positions, bool `[h, w]`."""
+        felt = mask[None, None].float()
+        if not pools:
+            felt = F.max_pool2d(felt, 3, stride=1, padding=1)
+        elif not self.antialiased:
+            felt = F.max_pool2d(felt, 2)
+        else:
+            felt = F.pad(F.max_pool2d(felt, 2, stride=1), (_BLUR_PADDING,) * 4, mode="reflect")
+            felt = F.max_pool2d(felt, 3, stride=2)
+        return felt[0, 0] > 0
 
     def blur(self, x: Tensor) -> Tensor:
         """Returns every second value of a map after a 3x3 binomial filter, without padding."""

@@ -2,43 +2,66 @@
 
 Far from any lit pixel the activations are those of an entirely black picture. They depend on the distance to the
 picture's borders alone, so they are computed once on a small black picture, and each layer is evaluated only where
-a lit pixel can be felt: the region grows by one position with each convolution and halves with each pooling.
+a lit pixel can be felt: that region grows by one position with each convolution and halves with each pooling.
+Convolutions are Winograd's (`winograd`). Float32 on a CPU.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from occfusion.perceptual.kernels import LANES, pool_places, sum_distances
 from occfusion.perceptual.network import BLOCKS, VggFeatures
-from occfusion.types import Box
+from occfusion.perceptual.winograd import TileConvolution, working_space
+from occfusion.splat.backends.numba_compile import run_parts
 
 SMALL = 320
 """Least side in pixels of the small black picture. The borders are felt 8 positions deep in the last block, that is
 128 px, so that more than 32 px in the middle feel none of them."""
 PHASE = 16
 """Four poolings: sides that differ by a multiple of 16 px end alike."""
-Span = tuple[int, int]
+POOL = "pool"
+LAST = {f"conv{number}_{len(block)}" for number, block in enumerate(BLOCKS, 1)}
+Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Part:
-    """One block's activations where they can differ from those of a black picture.
+class Map:
+    """One step's activations of some pictures, held where they can differ from those of a black picture.
 
     Attributes:
-        values: `[B, C, h, w]`.
-        positions: how many positions the block has in the whole picture.
+        values: the box that holds all chosen positions, `[N, h, w, C/64, 64]`.
+        chosen: which of its positions count, bool `[h, w]`.
+        known: the black picture's map, `[h', w', C/64, 64]`.
+        rows: for each row of the whole map the one of `known` that is like it, int64 `[H]`.
+        columns: the same for columns, `[W]`.
+        corner: row and column of the box, int64 `[2]`.
     """
 
-    values: Tensor
-    positions: int
+    values: Array
+    chosen: Array
+    known: Array
+    rows: Array
+    columns: Array
+    corner: Array
+
+    @property
+    def positions(self) -> int:
+        """How many positions the whole map has."""
+        return len(self.rows) * len(self.columns)
+
+    def source(self) -> tuple[Array, ...]:
+        """Returns what the kernels read, in their order."""
+        return self.values, self.chosen, self.known, self.rows, self.columns, self.corner
 
 
 class BlackSurround:
-    """Evaluates a network on boxes of pictures that are black outside; keeps what it knows of black pictures.
+    """Evaluates a network on pictures that are mostly black; keeps what it knows of black pictures.
 
     Args:
         network: the trunk; frozen.
@@ -46,76 +69,103 @@ class BlackSurround:
 
     def __init__(self, network: VggFeatures) -> None:
         self._network = network
-        self._black: dict[tuple[object, ...], list[Tensor]] = {}
+        self._black: dict[tuple[object, ...], list[Array]] = {}
+        self._convolutions: dict[str, TileConvolution] = {}
+
+    def __deepcopy__(self, memo: dict[int, object]) -> BlackSurround:
+        copied: VggFeatures = memo.get(id(self._network), self._network)  # type: ignore[assignment]
+        return BlackSurround(copied)
 
     @torch.no_grad()
-    def parts(self, pictures: Tensor, box: Box, black: float) -> list[Part]:
-        """Returns the five blocks' activations of pictures `[B, 3, H, W]`, where the box can be felt.
+    def parts(self, pictures: Tensor, lit: Tensor, black: float) -> list[Map]:
+        """Returns the last activations of the five blocks.
 
         Args:
-            pictures: as the network takes them.
-            box: outside it all pictures are black.
+            pictures: as the network takes them, float32 `[N, 3, H, W]`.
+            lit: bool `[H, W]`, not all False; elsewhere all pictures are black. All True: nothing is known.
             black: the value of black.
         """
-        height, width = pictures.shape[2:]
-        inputs = self._inputs_of_black(height, width, black)
-        x, y, w, h = box
-        rows, columns, size = (y, y + h), (x, x + w), (height, width)
-        patch = self._network.whiten(pictures[:, :, y : y + h, x : x + w])
-        parts = []
+        known = None if bool(lit.all()) else self._maps_of_black(lit.shape[0], lit.shape[1], black)
+        felt, maps, current = lit, [], None
         for number, step in enumerate(steps()):
-            patch, rows, columns, size = self._step(step, patch, rows, columns, size, inputs[number])
+            felt = self._network.reach(felt, pools=step == POOL)
+            current = self._step(step, current, pictures, felt, None if known is None else known[number])
             if step in LAST:
-                parts.append(Part(patch, size[0] * size[1]))
-        return parts
-
-    def _inputs_of_black(self, height: int, width: int, black: float) -> list[Tensor]:
-        """Returns the input of every step for a small black picture whose borders are like a large one's."""
-        size = small(height), small(width)
-        dtype, device = self._network.dtype, self._network.mean.device
-        key = (*size, black, dtype, device)
-        if key not in self._black:
-            x = torch.full((1, 3, *size), black, dtype=dtype, device=device)
-            x, inputs = self._network.whiten(x), []
-            for step in steps():
-                inputs.append(x)
-                x = self._network.pool(x) if step == POOL else self._network.convolve(x, step)
-            self._black = {key: inputs}  # pictures of one evaluation are of one size
-        return self._black[key]
+                maps.append(current)
+        return maps
 
     def _step(
-        self, step: str, patch: Tensor, rows: Span, columns: Span, size: Span, black: Tensor
-    ) -> tuple[Tensor, Span, Span, Span]:
-        """Applies one step to what fills `rows` and `columns` of a map of `size`; returns the same of its output."""
-        pools, antialiased = step == POOL, self._network.antialiased
-        axes = [_plan(span, n, pools, antialiased) for span, n in ((rows, size[0]), (columns, size[1]))]
-        canvas = black
-        for axis, (plan, length) in enumerate(zip(axes, size, strict=True), 2):
-            needed = torch.arange(plan.first, plan.stop, device=black.device)
-            canvas = canvas.index_select(axis, _in_small(needed, length, black.shape[axis]))
-        canvas = canvas.expand(len(patch), -1, -1, -1).contiguous(memory_format=torch.channels_last)
-        top, left = rows[0] - axes[0].first, columns[0] - axes[1].first
-        inside = canvas[
-            :, :, max(top, 0) : rows[1] - axes[0].first, max(left, 0) : columns[1] - axes[1].first
-        ]
-        inside.copy_(patch[:, :, max(-top, 0) :, max(-left, 0) :][:, :, : inside.shape[2], : inside.shape[3]])
-        if not pools:
-            beyond = (axes[1].before, axes[1].after, axes[0].before, axes[0].after)
-            out = self._network.convolve(F.pad(canvas, beyond), step, padding=0)
-        elif antialiased:
-            canvas = F.max_pool2d(canvas, 2, stride=1)
-            for axis, plan in enumerate(axes, 2):
-                wanted = torch.tensor(plan.order, device=canvas.device)
-                canvas = canvas.index_select(axis, wanted)
-            out = self._network.blur(canvas)
+        self, step: str, before: Map | None, pictures: Tensor, felt: Tensor, known: Array | None
+    ) -> Map:
+        (top, bottom), (left, right) = _extent(felt.any(dim=1)), _extent(felt.any(dim=0))
+        chosen = felt[top:bottom, left:right].contiguous()
+        groups = (
+            before.values.shape[3] if before and step == POOL else len(self._network.layer(step)[1]) // LANES
+        )
+        if before is None:  # three channels: nothing to be gained
+            values = self._first(pictures, (top, bottom), (left, right), step)
         else:
-            out = F.max_pool2d(canvas, 2)
-        spans = [plan.output for plan in axes]
-        return out, spans[0], spans[1], (axes[0].length, axes[1].length)
+            values = np.empty((len(pictures), bottom - top, right - left, groups, LANES), np.float32)
+        height, width = felt.shape
+        if known is None:
+            known = np.empty((0, 0, groups, LANES), np.float32)
+            rows, columns = np.zeros(height, np.int64), np.zeros(width, np.int64)
+        else:
+            rows, columns = (_in_small(n, m) for n, m in zip(felt.shape, known.shape, strict=False))
+        result = Map(values, chosen.numpy(), known, rows, columns, np.array([top, left]))
+        if before is not None and step == POOL:
+            places = chosen.nonzero().numpy() + result.corner
+            y_reads, x_reads = (
+                self._reads(len(n), m) for n, m in ((before.rows, height), (before.columns, width))
+            )
+            run_parts(
+                pool_places,
+                *before.source(),
+                places,
+                y_reads,
+                x_reads,
+                result.corner,
+                values,
+                working_space(),
+            )
+        elif before is not None:
+            self._convolution(step)(before.source(), chosen, result.corner, values)
+        return result
 
+    def _first(self, pictures: Tensor, rows: tuple[int, int], columns: tuple[int, int], step: str) -> Array:
+        """Returns the first convolution of the pictures in a box."""
+        whole = F.pad(self._network.whiten(pictures), (1, 1, 1, 1))
+        box = whole[:, :, rows[0] : rows[1] + 2, columns[0] : columns[1] + 2]
+        values = self._network.convolve(box, step, padding=0).permute(0, 2, 3, 1).contiguous()
+        return values.unflatten(3, (-1, LANES)).numpy()
 
-POOL = "pool"
-LAST = {f"conv{number}_{len(block)}" for number, block in enumerate(BLOCKS, 1)}
+    def _reads(self, length: int, results: int) -> Array:
+        """Returns which positions of a line each result of a pooling looks at, as `pool_places` takes them."""
+        numbers = np.arange(results)[:, None]
+        if self._network.antialiased:  # the maxima are mirrored at the ends, as a whole
+            last = length - 2
+            first = last - np.abs(last - np.abs(2 * numbers - 2 + np.arange(3)))
+        else:
+            first = np.repeat(2 * numbers, 3, axis=1)
+        return np.stack([first, first + 1], axis=2).reshape(results, 6)
+
+    def _convolution(self, step: str) -> TileConvolution:
+        if step not in self._convolutions:
+            self._convolutions[step] = TileConvolution(*self._network.layer(step))
+        return self._convolutions[step]
+
+    def _maps_of_black(self, height: int, width: int, black: float) -> list[Array]:
+        """Returns every step's map `[h, w, C/64, 64]` of a small black picture whose borders are like a large one's."""
+        key = small(height), small(width), black
+        if key not in self._black:
+            pictures = torch.full((1, 3, *key[:2]), black)
+            felt, current, maps = torch.ones(key[:2], dtype=torch.bool), None, []
+            for step in steps():
+                felt = self._network.reach(felt, pools=step == POOL)
+                current = self._step(step, current, pictures, felt, None)
+                maps.append(current.values[0])
+            self._black = {key: maps}  # pictures of one evaluation are of one size
+        return self._black[key]
 
 
 def steps() -> list[str]:
@@ -131,56 +181,24 @@ def small(length: int) -> int:
     return length if length < SMALL + PHASE else SMALL + (length - SMALL) % PHASE
 
 
-@dataclass(frozen=True)
-class _Axis:
-    """What a step reads and writes along one axis.
-
-    Attributes:
-        output: the positions of the output that are computed.
-        length: the whole output's length.
-        first: first position of the input that is read.
-        stop: behind the last one.
-        before: zeros before them.
-        after: zeros behind them.
-        order: for the anti-aliased pooling, which of the maxima are blurred, mirrored at the picture's borders.
-    """
-
-    output: Span
-    length: int
-    first: int
-    stop: int
-    before: int = 0
-    after: int = 0
-    order: tuple[int, ...] = ()
+def mean_distance(features: Map, head: Tensor, floor: float) -> float:
+    """Returns the mean over all positions of two pictures' distance; it is 0 where nothing is chosen."""
+    sums = np.zeros(features.values.shape[1])
+    weights = head.view(-1, LANES).numpy()
+    run_parts(
+        sum_distances, features.values, features.chosen, weights, np.float32(floor), sums, working_space()
+    )
+    return float(sums.sum()) / features.positions
 
 
-def _plan(span: Span, length: int, pools: bool, antialiased: bool) -> _Axis:
-    start, stop = span
-    if not pools:
-        out = max(start - 1, 0), min(stop + 1, length)
-        first, last = out[0] - 1, out[1] + 1
-        return _Axis(out, length, max(first, 0), min(last, length), max(-first, 0), max(last - length, 0))
-    if not antialiased:
-        count = length // 2
-        begin = min(start // 2, count - 1)  # the last pixel of an odd side is not looked at
-        out = begin, max(min((stop + 1) // 2, count), begin + 1)
-        return _Axis(out, count, 2 * out[0], 2 * out[1])
-    # output i blurs the maxima 2i-2 .. 2i, mirrored at the borders; maximum j is that of pixels j and j+1
-    count, maxima = length // 2 + 1, length - 1
-    begin = 0 if start <= 3 else start // 2
-    end = count if stop >= length - 3 else min((stop + 1) // 2 + 1, count)
-    mirrored = [_mirror(p, maxima) for p in range(2 * begin - 2, 2 * end - 1)]
-    low = min(mirrored)
-    order = tuple(p - low for p in mirrored)
-    return _Axis((begin, end), count, low, max(mirrored) + 2, order=order)
+def _extent(used: Tensor) -> tuple[int, int]:
+    """Returns the first True and behind the last one."""
+    places = used.nonzero()
+    return int(places[0]), int(places[-1]) + 1
 
 
-def _mirror(position: int, length: int) -> int:
-    return length - 1 - abs(length - 1 - abs(position))
-
-
-def _in_small(positions: Tensor, length: int, small_length: int) -> Tensor:
-    """Returns where positions of a black picture's map lie in the small one's: from the nearer end, at most half."""
-    half = small_length // 2
-    from_end = (positions - (length - small_length)).clamp(min=half)
-    return torch.where(positions < half, positions, from_end)
+def _in_small(length: int, small_length: int) -> Array:
+    """Returns where a black picture's positions lie in the small one's: from the nearer end, at most half."""
+    positions, half = np.arange(length), small_length // 2
+    from_end = np.maximum(positions - (length - small_length), half)
+    return np.where(positions < half, positions, from_end)
