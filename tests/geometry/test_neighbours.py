@@ -7,6 +7,12 @@ import torch
 from occfusion.geometry import neighbours
 
 
+@pytest.fixture(params=["tree", "blocks"], autouse=True)
+def way(request, monkeypatch):
+    """Either way on the CPU."""
+    monkeypatch.setattr(neighbours, "by_tree", getattr(neighbours, f"by_{request.param}"))
+
+
 def test_equal_brute_force(monkeypatch):
     monkeypatch.setattr(neighbours, "_BLOCK_ELEMENTS", 100)  # several blocks
     rng = np.random.default_rng(0)
@@ -38,6 +44,24 @@ def test_far_from_the_origin_keeps_millimetres():
     found = neighbours.nearest_others(points)
     assert found.indices[:, 0].tolist() == [1, 0, 1]
     assert found.distances[:, 0].tolist() == pytest.approx([0.001, 0.001, 0.002], rel=1e-6)
+
+
+@pytest.mark.parametrize("spread", [1e-6, 1.0, 1e6])
+def test_both_ways_agree_on_bodies_of_any_size(spread):
+    points, references = torch.rand(2, 700, 3, generator=torch.Generator().manual_seed(1)) * spread
+    references[:300, 2] = 0  # a plane
+    found, other = neighbours.nearest(points, references, 6), neighbours.by_blocks(points, references, 6)
+    assert (found.indices == other.indices).float().mean() > 0.999, "but for ties by rounding"
+    assert torch.allclose(found.distances, other.distances, rtol=1e-5, atol=1e-7 * spread)
+    assert found.distances.dtype == points.dtype and found.indices.dtype == torch.int64
+
+
+def test_not_finite():
+    points = torch.zeros(4, 3)
+    points[2, 1] = float("nan")
+    for pair in ((points, torch.zeros(4, 3)), (torch.zeros(4, 3), points)):
+        with pytest.raises(ValueError, match="not all finite"):
+            neighbours.nearest(*pair)
 
 
 def test_too_few():

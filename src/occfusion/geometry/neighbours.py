@@ -1,10 +1,11 @@
-"""Nearest neighbours by brute force in blocks: exact, on any device, memory bounded."""
+"""Nearest neighbours, exact: by a k-d tree on a CPU, by brute force in blocks elsewhere; memory is bounded."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import torch
+from scipy.spatial import KDTree
 from torch import Tensor
 
 _BLOCK_ELEMENTS = 4_000_000
@@ -27,14 +28,33 @@ class Neighbours(NamedTuple):
 def nearest(points: Tensor, references: Tensor, k: int = 1) -> Neighbours:
     """Returns the `k` nearest of `references [M, 3]` to each of `points [N, 3]`; of equal ones any.
 
-    Distances are expanded as |x|^2 - 2 x.y + |y|^2 in float64 around the references' mean, whose rounding
-    error (1e-8 m for a body) is far below any spacing that matters.
-
     Raises:
-        ValueError: there are fewer than `k` references.
+        ValueError: there are fewer than `k` references, or a number is not finite.
     """
     if len(references) < k:
         raise ValueError(f"{k} neighbours asked for, but there are only {len(references)} points")
+    if not (points.isfinite().all() and references.isfinite().all()):
+        raise ValueError("neighbours asked for of points that are not all finite")
+    if len(points) == 0:
+        empty = points.new_zeros(0, k)
+        return Neighbours(empty.long(), empty)
+    return (by_tree if points.device.type == "cpu" else by_blocks)(points, references, k)
+
+
+def by_tree(points: Tensor, references: Tensor, k: int) -> Neighbours:
+    """Returns what `nearest` does, by a k-d tree in float64 on the CPU."""
+    tree = KDTree(references.double().numpy())
+    # a list of numbers of neighbours keeps their axis where there is but one
+    distances, indices = tree.query(points.double().numpy(), k=list(range(1, k + 1)))
+    return Neighbours(torch.from_numpy(indices), torch.from_numpy(distances).to(points.dtype))
+
+
+def by_blocks(points: Tensor, references: Tensor, k: int) -> Neighbours:
+    """Returns what `nearest` does, by all distances, on any device.
+
+    Distances are expanded as |x|^2 - 2 x.y + |y|^2 in float64 around the references' mean, whose rounding
+    error (1e-8 m for a body) is far below any spacing that matters.
+    """
     origin = references.double().mean(dim=0)
     rows, columns = points.double() - origin, references.double() - origin
     half_squares = 0.5 * (columns * columns).sum(dim=1)
@@ -45,9 +65,6 @@ def nearest(points: Tensor, references: Tensor, k: int = 1) -> Neighbours:
         squares = 2 * best + (block * block).sum(dim=1, keepdim=True)
         indices.append(index)
         distances.append(squares.clamp(min=0.0).sqrt())
-    if not indices:
-        empty = points.new_zeros(0, k)
-        return Neighbours(empty.long(), empty)
     return Neighbours(torch.cat(indices), torch.cat(distances).to(points.dtype))
 
 
