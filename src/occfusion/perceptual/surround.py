@@ -17,7 +17,7 @@ from torch import Tensor
 
 from occfusion.perceptual.kernels import LANES, pool_places, sum_distances
 from occfusion.perceptual.network import BLOCKS, VggFeatures
-from occfusion.perceptual.winograd import TileConvolution, working_space
+from occfusion.perceptual.winograd import working_space
 from occfusion.splat.backends.numba_compile import run_parts
 
 SMALL = 320
@@ -70,7 +70,6 @@ class BlackSurround:
     def __init__(self, network: VggFeatures) -> None:
         self._network = network
         self._black: dict[tuple[object, ...], list[Array]] = {}
-        self._convolutions: dict[str, TileConvolution] = {}
 
     def __deepcopy__(self, memo: dict[int, object]) -> BlackSurround:
         copied: VggFeatures = memo.get(id(self._network), self._network)  # type: ignore[assignment]
@@ -129,7 +128,8 @@ class BlackSurround:
                 working_space(),
             )
         elif before is not None:
-            self._convolution(step)(before.source(), chosen, result.corner, values)
+            layer = self._network.tiles.forward(step, *self._network.layer(step))
+            layer.write(before.source(), chosen, result.corner, values)
         return result
 
     def _first(self, pictures: Tensor, rows: tuple[int, int], columns: tuple[int, int], step: str) -> Array:
@@ -148,11 +148,6 @@ class BlackSurround:
         else:
             first = np.repeat(2 * numbers, 3, axis=1)
         return np.stack([first, first + 1], axis=2).reshape(results, 6)
-
-    def _convolution(self, step: str) -> TileConvolution:
-        if step not in self._convolutions:
-            self._convolutions[step] = TileConvolution(*self._network.layer(step))
-        return self._convolutions[step]
 
     def _maps_of_black(self, height: int, width: int, black: float) -> list[Array]:
         """Returns every step's map `[h, w, C/64, 64]` of a small black picture whose borders are like a large one's."""

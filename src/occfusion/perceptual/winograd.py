@@ -1,4 +1,4 @@
-"""3x3 convolutions of chosen 4x4 tiles with a quarter of the multiplications, float32 on a CPU, without gradients.
+"""3x3 convolutions of chosen 4x4 tiles with a quarter of the multiplications, float32 on a CPU.
 
 Winograd's F(4 x 4, 3 x 3): Lavin and Gray, CVPR 2016, section 4. A 4 x 4 tile of the result needs a 6 x 6 tile of the
 input, D. With the constant matrices B, G and A of that paper it is A^T [(G w G^T) * (B^T D B)] A, summed over the
@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from occfusion.perceptual.kernels import LANES, SPACE, finish_tiles, transform_tiles
 from occfusion.splat.backends.numba_compile import run_parts
@@ -20,6 +21,10 @@ WORDS = 300_000
 """Numbers of a chunk's transformed tiles: what the second cache of a core holds."""
 LEAST_CHUNK = 96
 """Tiles that a chunk has at least: rows enough for a matrix product to be worth reading its filters."""
+LEAST_TILES = 64
+"""Tiles below which the transformed filters, four times as large as the weights, cost more than they save."""
+LARGEST = 256 * 256
+"""Products of channel counts above which a few tiles do not pay, nor the memory, in training."""
 _G = (
     (1 / 4, 0.0, 0.0),
     (-1 / 6, -1 / 6, -1 / 6),
@@ -31,26 +36,28 @@ _G = (
 
 
 class TileConvolution:
-    """A 3x3 convolution with bias, then rectified.
+    """A 3x3 convolution with bias, rectified or not.
 
     Args:
         weight: `[K, C, 3, 3]`; both channel counts multiples of 64.
-        bias: `[K]`.
+        bias: `[K]`; None for none.
+        rectified: set what is negative to 0.
 
     Raises:
         ValueError: other counts of channels.
     """
 
-    def __init__(self, weight: Tensor, bias: Tensor) -> None:
+    def __init__(self, weight: Tensor, bias: Tensor | None, *, rectified: bool = True) -> None:
         outgoing, incoming = weight.shape[:2]
         if incoming % LANES or outgoing % LANES:
             raise ValueError(f"channels come in multiples of {LANES}, got {incoming} and {outgoing}")
         g = torch.tensor(_G)
         by_place = weight.permute(2, 3, 1, 0).reshape(9, -1)  # so that the product lies as it is read
         self._filters = (torch.kron(g, g) @ by_place).view(36, incoming, outgoing)
-        self._bias = bias.contiguous().view(-1, LANES).numpy()
+        self._bias = grouped(weight.new_zeros(outgoing) if bias is None else bias.contiguous())
+        self._floor = np.float32(0 if rectified else -np.inf)
 
-    def __call__(
+    def write(
         self, source: tuple[np.ndarray, ...], chosen: Tensor, corner: np.ndarray, out: np.ndarray
     ) -> None:
         """Writes the result wherever it is chosen, and here and there around.
@@ -64,15 +71,86 @@ class TileConvolution:
         incoming, outgoing = self._filters.shape[1:]
         tiles = tiles_of(chosen, len(out)) + torch.tensor([0, *corner.tolist()])
         # an odd number of rows: strides by powers of two would all fall on the same lines of a cache
-        size = max(WORDS // (36 * (incoming + outgoing)), LEAST_CHUNK) | 1
+        size = min(max(WORDS // (36 * (incoming + outgoing)), LEAST_CHUNK), len(tiles)) | 1
         spaces = working_space()
         inputs, products = torch.empty(36, size, incoming), torch.empty(36, size, outgoing)
         for chunk in tiles.split(size):
-            places = chunk.numpy()
+            count, places = len(chunk), chunk.numpy()
             run_parts(transform_tiles, *source, places, grouped(inputs), spaces)
-            count = len(chunk)
             torch.bmm(inputs[:, :count], self._filters, out=products[:, :count])
-            run_parts(finish_tiles, grouped(products), places, self._bias, corner, out, spaces)
+            run_parts(finish_tiles, grouped(products), places, self._bias, self._floor, corner, out, spaces)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Returns the result for a whole map `[N, C, h, w]`, 0 around it, of its size; channels last in memory."""
+        values = x.permute(0, 2, 3, 1).contiguous()
+        pictures, height, width, _ = values.shape
+        nothing = np.empty((0, 0, 1, LANES), np.float32)
+        whole, corner = torch.ones(height, width, dtype=torch.bool), np.zeros(2, np.int64)
+        out = torch.empty(pictures, height, width, self._filters.shape[2])
+        places = np.zeros(height, np.int64), np.zeros(width, np.int64)
+        source = (grouped(values), whole.numpy(), nothing, *places, corner)
+        self.write(source, whole, corner, grouped(out))
+        return out.permute(0, 3, 1, 2)
+
+
+class TileLayers:
+    """The tile convolutions of a network's layers and of their gradients, each made when it is first asked for."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[str, str], TileConvolution] = {}
+
+    def __deepcopy__(self, memo: dict[int, object]) -> TileLayers:
+        return TileLayers()  # a copied network may be converted to another type
+
+    def forward(self, name: str, weight: Tensor, bias: Tensor) -> TileConvolution:
+        """Returns the rectified convolution of a layer."""
+        key = name, "forward"
+        if key not in self._made:
+            self._made[key] = TileConvolution(weight, bias)
+        return self._made[key]
+
+    def backward(self, name: str, weight: Tensor) -> TileConvolution:
+        """Returns what gives the gradient of a layer's input from that of its result before it was rectified."""
+        key = name, "backward"
+        if key not in self._made:
+            self._made[key] = TileConvolution(weight.transpose(0, 1).flip(2, 3), None, rectified=False)
+        return self._made[key]
+
+
+def pays(x: Tensor, weight: Tensor) -> bool:
+    """Returns whether a layer's input `[N, C, h, w]` and weight are such that tiles can do it, and fast."""
+    outgoing, incoming = weight.shape[:2]
+    tiles = x.shape[0] * -(-x.shape[2] // TILE) * -(-x.shape[3] // TILE)
+    return (
+        x.device.type == "cpu"
+        and x.dtype == weight.dtype == torch.float32
+        and incoming % LANES == outgoing % LANES == 0
+        and incoming * outgoing <= LARGEST
+        and tiles >= LEAST_TILES
+    )
+
+
+def convolve(x: Tensor, name: str, weight: Tensor, bias: Tensor, layers: TileLayers) -> Tensor:
+    """Returns a layer's rectified result, differentiable in its input."""
+    result: Tensor = _Convolve.apply(x, name, weight, bias, layers)
+    return result
+
+
+class _Convolve(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, x, name, weight, bias, layers):  # type: ignore[no-untyped-def]
+        out = layers.forward(name, weight, bias)(x)
+        ctx.save_for_backward(out, weight)
+        ctx.name, ctx.layers = name, layers
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, grad):  # type: ignore[no-untyped-def]
+        out, weight = ctx.saved_tensors
+        if not ctx.needs_input_grad[0]:
+            return (None,) * 5
+        return ctx.layers.backward(ctx.name, weight)(grad * (out > 0)), None, None, None, None
 
 
 def working_space() -> np.ndarray:
