@@ -241,6 +241,7 @@ def _check_ranges(settings: Settings) -> None:
         _check_avatar_ranges(name, stage, terms)
     _check_range("init.threshold", settings.init.threshold, 0.0, 1.0)
     _check_range("init.smoothing", settings.init.smoothing, 0.0, 10.0)
+    _check_range("optim.gaussians", optim.gaussians, 0, 1_000_000)
     _check_range("optim.pose_knots", optim.pose_knots, 0, 10_000)
     _check_range("optim.skinning_every", optim.skinning_every, 1, 10_000)
     _check_sds_ranges(optim.sds)

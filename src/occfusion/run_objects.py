@@ -12,7 +12,7 @@ from occfusion.compose import make_body, make_data
 from occfusion.config import Settings, stages_to_run
 from occfusion.data.module import HumanDataModule
 from occfusion.files.atomic import write_json
-from occfusion.human import Avatar, PoseSpline
+from occfusion.human import Avatar, Gaussians, PoseSpline
 from occfusion.init_run import look_at_training_frames
 from occfusion.inpaint.registry import check_inpainter
 from occfusion.needs import Decision, as_planned, may_leave_out_networks, with_everything
@@ -99,14 +99,16 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     if settings.evaluation.perceptual or any(stage.lambda_lpips for stage in trained):
         perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
     optim = as_planned(settings, moments).optim
+    sh_degree = planning.reached_sh_degree(settings)
     avatar = Avatar(
         body,
-        sh_degree=planning.reached_sh_degree(settings),
+        sh_degree=sh_degree,
         refine_pose=optim.refine_pose,
         pose_spline=PoseSpline.over(data.train_indices, optim.pose_knots) if optim.pose_knots else None,
         learn_skinning=optim.learn_skinning,
         skinning_every=optim.skinning_every,
         sh_frame=optim.sh_frame,
+        gaussians=Gaussians.on_body(body, sh_degree, optim.gaussians),
     )
     return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"], stages)
 

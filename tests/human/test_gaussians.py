@@ -150,3 +150,28 @@ def test_network_gradients():
     body_pose = torch.randn(69, dtype=torch.float64, requires_grad=True)
     assert gradcheck(lambda p: refiner(p, torch.eye(3).double().expand(24, 3, 3)), body_pose, fast_mode=True)
     assert gradcheck(field, torch.randn(3, 3, dtype=torch.float64, requires_grad=True))
+
+
+def test_more_than_vertices_lie_in_the_middles_of_the_largest_faces(body):
+    plain, more = Gaussians.on_body(body, 1), Gaussians.on_body(body, 1, len(body.v_template) + 12)
+    n = plain.num_gaussians
+    assert more.num_gaussians == n + 12
+    assert torch.equal(more.means[:n], plain.means)
+    corners = body.da_vertices()[body.faces].double()
+    a, b, c = corners.unbind(dim=1)
+    areas = ((b - a).cross(c - a, dim=1)).norm(dim=1)
+    middles = corners.mean(dim=1)
+    taken = torch.cdist(more.means[n:].detach().double(), middles).argmin(dim=1)
+    assert len(set(taken.tolist())) == 12
+    rest = torch.ones(len(areas), dtype=torch.bool)
+    rest[taken] = False
+    assert areas[taken].min() >= areas[rest].max() * (1 - 1e-6)
+    nearest = torch.cdist(more.means.detach(), body.da_vertices()).argmin(dim=1)
+    assert torch.equal(more.vertex_index, nearest)
+
+
+def test_no_more_than_a_face_each(body):
+    every = Gaussians.on_body(body, 0, 10**9)
+    assert every.num_gaussians == len(body.v_template) + len(body.faces)
+    assert every.scales.isfinite().all() and (every.scales > 0).all()
+    assert Gaussians.on_body(body, 0, 5).num_gaussians == len(body.v_template)

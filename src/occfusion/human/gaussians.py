@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from occfusion.geometry.neighbours import nearest_others
+from occfusion.geometry.neighbours import nearest, nearest_others
 from occfusion.geometry.rotation import normalize_quaternion, quaternion_to_matrix
 from occfusion.human.body import Body
 
@@ -80,16 +80,23 @@ class Gaussians(nn.Module):
         """Counts replacements of rows or of their body vertices: what was derived from them is stale then."""
 
     @classmethod
-    def on_body(cls, body: Body, sh_degree: int) -> Gaussians:
+    def on_body(cls, body: Body, sh_degree: int, least: int = 0) -> Gaussians:
         """Returns one Gaussian on each vertex of the mean-shape body in the Da pose, round, grey and faint.
 
         Its size is the root of the mean squared distance to its three nearest neighbours.
+
+        Args:
+            body: whose surface.
+            sh_degree: highest band of spherical harmonics that will ever be used.
+            least: where a body has fewer vertices, the middles of its largest faces are taken as well, until there
+                are so many or all faces are.
         """
-        means = body.da_vertices()
+        vertices = body.da_vertices()
+        means = torch.cat([vertices, _middles_of_largest(vertices, body.faces, least - len(vertices))])
         distances = nearest_others(means, min(INITIAL_NEIGHBOURS, len(means) - 1)).distances
         sizes = distances.square().mean(dim=1, keepdim=True).sqrt()
         gaussians = cls(means, sizes.expand(-1, 3), sh_degree)
-        gaussians.set_vertex_index(torch.arange(len(means), device=means.device))
+        gaussians.set_vertex_index(nearest(means, vertices).indices[:, 0])
         return gaussians
 
     @property
@@ -172,6 +179,17 @@ class Gaussians(nn.Module):
                 have.grad = None
         super()._load_from_state_dict(state_dict, prefix, *args)
         self.revision += 1
+
+
+def _middles_of_largest(vertices: Tensor, faces: Tensor, count: int) -> Tensor:
+    """Returns the middles of so many faces, the largest, in the order of the faces, `[count or fewer, 3]`."""
+    if count <= 0:
+        return vertices.new_zeros(0, 3)
+    corners = vertices[faces]
+    sides = corners[:, 1:] - corners[:, :1]
+    areas = torch.linalg.cross(sides[:, 0], sides[:, 1]).norm(dim=1)
+    largest = areas.topk(min(count, len(areas))).indices.sort().values
+    return corners[largest].mean(dim=1)
 
 
 def means_rate(

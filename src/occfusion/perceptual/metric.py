@@ -77,7 +77,7 @@ class PerceptualMetric(nn.Module):
 
         Positions that see nothing but black in both pictures have a distance of 0; they are counted, not
         computed. All others are computed from the whole of what they see, so the result is the same up to
-        rounding (relative difference below 1e-5).
+        rounding: 1e-5 of it and 1e-8.
 
         Args:
             a: `[H, W, 3]` in 0..1.

@@ -158,6 +158,7 @@ class OptimSettings(AvatarSettings):
     Attributes:
         pixels: `visible`: the paper's M; `all`: the whole crop.
         mask_hidden: weight of the mask term on pixels that are neither seen nor background, 0..1; the paper: 1.
+        gaussians: at the start, at least (`Gaussians.on_body`); 0: one on each vertex of the body.
         sh_frame: see `Avatar`.
         refine_pose: GauHuman's network of pose corrections.
         pose_knots: training frames from one knot to the next of the corrections frame by frame; 0: none.
@@ -172,6 +173,7 @@ class OptimSettings(AvatarSettings):
     lambda_mask: float = 2e4
     lambda_ssim: float = 1e3
     lambda_lpips: float = 1e3
+    gaussians: int = 20_000
     sh_frame: str = "canonical"
     refine_pose: bool = True
     pose_knots: int = 4
