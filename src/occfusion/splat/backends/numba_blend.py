@@ -45,6 +45,7 @@ from occfusion.splat.backends.numba_layout import (
     M,
 )
 
+ALL_BLOCKS = (1 << TILE_BLOCKS) - 1
 ZERO = np.float32(0)
 ONE = np.float32(1)
 LOWEST = np.float32(EXP_SHIFT - EXP_RANGE)
@@ -107,8 +108,9 @@ def blend_part(
         left, top = np.float32(grid[0] + tile_x), np.float32(grid[1] + tile_y)
         clear_planes(p, np.float32(width - tile_x), np.float32(height - tile_y))
         begin, end = starts[tile], starts[tile + 1]
+        blending = ALL_BLOCKS
         for first in range(begin, end, GROUP):
-            blending = blending_blocks(p, stop)
+            blending = blending_blocks(p, stop, blending)
             if blending == 0:
                 for place in range(first, end):
                     blended[place] = 0

@@ -114,13 +114,16 @@ def reached_blocks(group: Any, left: float, top: float, shapes: Any, blocks: Any
 
 
 @inline
-def blending_blocks(planes: Any, stop: float) -> int:
-    """Returns the blocks with a lane that still blends."""
-    blocks = 0
-    for block in range(TILE_BLOCKS):
+def blending_blocks(planes: Any, stop: float, blocks: int) -> int:
+    """Returns those of the blocks that have a lane that still blends."""
+    blending, left = 0, blocks
+    # one set bit after another: a loop over all blocks would become vector code that fetches lane by lane
+    while left != 0:
+        block, rest = lowest_block(left)
         through = planes[block * BLOCK_SIZE + THROUGH :]
         count = 0
         for i in range(LANES):
             count += through[i] >= stop
-        blocks |= (1 if count > 0 else 0) << block
-    return blocks
+        blending |= left ^ rest if count > 0 else 0
+        left = rest
+    return blending
