@@ -43,11 +43,14 @@ from occfusion.splat.backends.numba_layout import (
     TILE_WIDTH,
     M,
 )
+from occfusion.splat.backends.numba_local import local_array
+
+local_sums = local_array(GRADIENT_SIZE * LANES)
 
 
 @kernel
 def blend_backward_part(
-    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_sums: Any,
+    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_quarters: Any,
     grid: Any, limits: Any, background: Any, alpha: Any, depth: Any, blended: Any, kept: Any,
     grad_rgb: Any, grad_alpha: Any, grad_depth: Any, slots: Any, part: int, parts: int,
 ) -> None:  # fmt: skip
@@ -57,7 +60,7 @@ def blend_backward_part(
     alpha / (1 - alpha), which are safe because alpha is capped. Blocks whose pixels have no gradient are left out.
     """
     alpha_max, alpha_min = limits[0], limits[1]
-    p, group, sums = all_planes[part], all_groups[part], all_sums[part]
+    p, group, quarters, sums = all_planes[part], all_groups[part], all_quarters[part], local_sums()
     for number in range(part, tiles.shape[0], parts):
         tile = tiles[number]
         tile_x, tile_y = tile % grid[2] * TILE_WIDTH, tile // grid[2] * TILE_HEIGHT
@@ -101,7 +104,7 @@ def blend_backward_part(
                         power = power if full < alpha_max else ZERO
                         q[P_BEHIND + i] += w * s
                         hu, hv = power * u, power * v
-                        # lane by lane in memory: a sum over the lanes of every block would cost more
+                        # lane by lane: a sum over the lanes of every block would cost more
                         sums[G_U * LANES + i] += hu
                         sums[G_V * LANES + i] += hv
                         sums[G_UX * LANES + i] += hu * dx
@@ -112,16 +115,23 @@ def blend_backward_part(
                         sums[G_GREEN * LANES + i] += w * g_g
                         sums[G_BLUE * LANES + i] += w * g_b
                         sums[G_DEPTH * LANES + i] += w * g_z
-                for j in range(GRADIENT_SIZE):
-                    slot[j] = sum_of_lanes(sums[j * LANES :])
+                sum_lanes(sums, GRADIENT_SIZE, quarters, slot)
 
 
 @inline
-def sum_of_lanes(x: Any) -> Any:
-    """Returns the sum of the first 16 numbers, two by two: half the rounding and half the waiting of one by one."""
-    even = ((x[0] + x[8]) + (x[4] + x[12])) + ((x[2] + x[10]) + (x[6] + x[14]))
-    odd = ((x[1] + x[9]) + (x[5] + x[13])) + ((x[3] + x[11]) + (x[7] + x[15]))
-    return even + odd
+def sum_lanes(sums: Any, count: int, quarters: Any, out: Any) -> None:
+    """Writes the sum of the first 16 numbers of `sums` to `out[0]`, of the next 16 to `out[1]`, `count` times.
+
+    Two by two: half the rounding and half the waiting of one by one. `quarters` `[4 count]` is working space: four
+    neighbours that go to memory are seen to be a vector.
+    """
+    for j in range(count):
+        for i in range(4):
+            k = j * LANES + i
+            quarters[4 * j + i] = (sums[k] + sums[k + 8]) + (sums[k + 4] + sums[k + 12])
+    for j in range(count):
+        k = 4 * j
+        out[j] = (quarters[k] + quarters[k + 2]) + (quarters[k + 1] + quarters[k + 3])
 
 
 @inline

@@ -25,7 +25,6 @@ from occfusion.splat.backends.numba_layout import (
     REACH,
     SPLAT_SIZE,
     THROUGH,
-    TILE_BLOCKS,
     TILE_WIDTH,
     TURN,
     X_PART,

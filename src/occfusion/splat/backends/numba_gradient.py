@@ -21,7 +21,7 @@ from occfusion.splat.backends.numba_blend_backward import blend_backward_part
 from occfusion.splat.backends.numba_blend_colors import blend_colors_backward_part
 from occfusion.splat.backends.numba_compile import run_parts
 from occfusion.splat.backends.numba_harmonics import BASIS_SIZE
-from occfusion.splat.backends.numba_layout import GRADIENT_SIZE, LANES
+from occfusion.splat.backends.numba_layout import GRADIENT_SIZE
 from occfusion.splat.backends.numba_project import PART
 from occfusion.splat.backends.numba_project_backward import project_backward_part
 
@@ -34,10 +34,10 @@ def pair_gradients(
 ) -> Array:
     """Returns the gradient of each (splat, tile) pair `[pairs, 10]`; the colours' columns alone where asked."""
     slots = np.empty((len(tape.entries), GRADIENT_SIZE), np.float32)
-    sums = np.empty((torch.get_num_threads(), GRADIENT_SIZE * LANES), np.float32)
+    quarters = np.empty((torch.get_num_threads(), 4 * GRADIENT_SIZE), np.float32)
     rgb, *others = array_of(grads[0], 1, 3), array_of(grads[1], 1), array_of(grads[2], 1)
     scene = (
-        tape.packed, tape.starts, tape.entries, tape.tiles, *working_space(), sums, tape.grid, tape.limits,
+        tape.packed, tape.starts, tape.entries, tape.tiles, *working_space(), quarters, tape.grid, tape.limits,
         tape.background, alpha.numpy(), depth.numpy(), tape.blended, tape.kept,
     )  # fmt: skip
     if only_colors:
