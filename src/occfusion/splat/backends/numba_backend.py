@@ -20,7 +20,6 @@ from occfusion.splat.backends.numba_blend import blend_part
 from occfusion.splat.backends.numba_blocks import GROUP
 from occfusion.splat.backends.numba_compile import run_parts
 from occfusion.splat.backends.numba_gradient import COLORS, gaussian_gradients, pair_gradients
-from occfusion.splat.backends.numba_harmonics import BASIS_SIZE
 from occfusion.splat.backends.numba_layout import SPLAT_SIZE, TILE_HEIGHT, TILE_LANES, TILE_WIDTH
 from occfusion.splat.backends.numba_project import project_part
 from occfusion.splat.request import Request
@@ -60,7 +59,7 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     run_parts(
         project_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances, inputs.opacities,
         inputs.colors, inputs.offsets, inputs.camera, window, inputs.options, inputs.degree, splats,
-        radii.numpy(), np.empty((torch.get_num_threads(), BASIS_SIZE), np.float32),
+        radii.numpy(),
     )  # fmt: skip
     order = sort_by_depth(splats, inputs.means, inputs.camera)
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)

@@ -15,7 +15,7 @@ from occfusion.splat.backends.numba_blocks import (
     reached_blocks,
     tile_centre,
 )
-from occfusion.splat.backends.numba_compile import inline, kernel
+from occfusion.splat.backends.numba_compile import inline, kernel, step
 from occfusion.splat.backends.numba_layout import (
     BLOCK,
     BLOCK_COLUMNS,
@@ -151,7 +151,7 @@ def blend_part(
         write_tile(p, background, tile_x, tile_y, rgb, alpha, depth)
 
 
-@inline
+@step
 def clear_planes(p: Any, width: float, height: float) -> None:
     """Empties the tile; lanes beyond the crop (`width` x `height` from here) count as fully covered."""
     for block in range(TILE_BLOCKS):
@@ -169,7 +169,7 @@ def place_of(x: int, y: int) -> int:
     return (y // BLOCK * BLOCK_COLUMNS + x // BLOCK) * BLOCK_SIZE + y % BLOCK * BLOCK + x % BLOCK
 
 
-@inline
+@step
 def write_tile(p: Any, background: Any, tile_x: int, tile_y: int, rgb: Any, alpha: Any, depth: Any) -> None:
     """Writes the lanes of a tile to the pixels of the picture that it covers."""
     height, width = alpha.shape

@@ -8,7 +8,7 @@ import numpy as np
 
 from occfusion.splat.backends.numba_blend import ONE, ZERO, lane_alpha, place_of
 from occfusion.splat.backends.numba_blocks import GROUP, fetch_group, lowest_block, tile_centre
-from occfusion.splat.backends.numba_compile import inline, kernel
+from occfusion.splat.backends.numba_compile import kernel, step
 from occfusion.splat.backends.numba_layout import (
     BLOCK_SIZE,
     BLUE,
@@ -45,7 +45,7 @@ from occfusion.splat.backends.numba_layout import (
 )
 from occfusion.splat.backends.numba_local import local_array
 
-local_sums = local_array(GRADIENT_SIZE * LANES)
+local_sums = local_array((GRADIENT_SIZE * LANES,), np.float32)
 
 
 @kernel
@@ -118,7 +118,7 @@ def blend_backward_part(
                 sum_lanes(sums, GRADIENT_SIZE, quarters, slot)
 
 
-@inline
+@step
 def sum_lanes(sums: Any, count: int, quarters: Any, out: Any) -> None:
     """Writes the sum of the first 16 numbers of `sums` to `out[0]`, of the next 16 to `out[1]`, `count` times.
 
@@ -134,7 +134,7 @@ def sum_lanes(sums: Any, count: int, quarters: Any, out: Any) -> None:
         out[j] = (quarters[k] + quarters[k + 2]) + (quarters[k + 1] + quarters[k + 3])
 
 
-@inline
+@step
 def load_kept(kept: Any, p: Any) -> None:
     """Writes what the forward pass kept of a tile, `[2, TILE_LANES]`, to the planes."""
     for block in range(TILE_BLOCKS):
@@ -144,7 +144,7 @@ def load_kept(kept: Any, p: Any) -> None:
             q[LATEST + i] = kept[1, block * LANES + i]
 
 
-@inline
+@step
 def load_gradients(
     grad_rgb: Any, grad_alpha: Any, grad_depth: Any, alpha: Any, depth: Any, background: Any,
     tile_x: int, tile_y: int, p: Any,
@@ -178,7 +178,7 @@ def load_gradients(
             p[P_COVERED + i] = covered
 
 
-@inline
+@step
 def blocks_with_gradient(p: Any) -> int:
     """Returns the blocks with a pixel that has a gradient."""
     blocks = 0

@@ -34,7 +34,7 @@ from occfusion.splat.backends.numba_layout import (
 )
 from occfusion.splat.backends.numba_local import local_array
 
-local_sums = local_array(3 * LANES)
+local_sums = local_array((3 * LANES,), np.float32)
 
 
 @kernel

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from occfusion.splat.backends.numba_bins import SLACK, strip_span
-from occfusion.splat.backends.numba_compile import inline
+from occfusion.splat.backends.numba_compile import inline, step
 from occfusion.splat.backends.numba_layout import (
     BLOCK,
     BLOCK_BITS,
@@ -70,7 +70,7 @@ def tile_centre(splat: Any, left: float, top: float) -> tuple[float, float]:
     return (splat[X_WHOLE] - left) + (splat[X_PART] - HALF), (splat[Y_WHOLE] - top) + (splat[Y_PART] - HALF)
 
 
-@inline
+@step
 def fetch_group(packed: Any, entries: Any, first: int, count: int, group: Any) -> None:
     """Copies the splats of `count` entries of a list to `group` `[GROUP, SPLAT_SIZE]`."""
     for k in range(count):
@@ -79,7 +79,7 @@ def fetch_group(packed: Any, entries: Any, first: int, count: int, group: Any) -
             group[k, i] = splat[i]
 
 
-@inline
+@step
 def reached_blocks(group: Any, left: float, top: float, shapes: Any, blocks: Any) -> None:
     """Writes the set of blocks that each splat of a group reaches in a tile to `blocks`, int32 `[GROUP]`.
 
@@ -112,7 +112,7 @@ def reached_blocks(group: Any, left: float, top: float, shapes: Any, blocks: Any
             blocks[k] |= np.int32(bits << np.int32(BLOCK_COLUMNS * row))
 
 
-@inline
+@step
 def blending_blocks(planes: Any, stop: float, blocks: int) -> int:
     """Returns those of the blocks that have a lane that still blends."""
     blending, left = 0, blocks
