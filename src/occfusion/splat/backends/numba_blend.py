@@ -86,7 +86,7 @@ def lane_alpha(
 
 @kernel
 def blend_part(
-    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_reached: Any,
+    splats: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_reached: Any,
     grid: Any, limits: Any, background: Any, rgb: Any, alpha: Any, depth: Any, kept: Any, blended: Any,
     part: int, parts: int,
 ) -> None:  # fmt: skip
@@ -116,7 +116,7 @@ def blend_part(
                     blended[place] = 0
                 break
             count = min(GROUP, end - first)
-            fetch_group(packed, entries, first, count, group)
+            fetch_group(splats, entries, first, count, group)
             reached_blocks(group, left, top, shapes, reached)
             for k in range(count):
                 blocks = np.int64(reached[k]) & blending

@@ -50,7 +50,7 @@ local_sums = local_array((GRADIENT_SIZE * LANES,), np.float32)
 
 @kernel
 def blend_backward_part(
-    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_quarters: Any,
+    splats: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_quarters: Any,
     grid: Any, limits: Any, background: Any, alpha: Any, depth: Any, blended: Any, kept: Any,
     grad_rgb: Any, grad_alpha: Any, grad_depth: Any, slots: Any, part: int, parts: int,
 ) -> None:  # fmt: skip
@@ -71,7 +71,7 @@ def blend_backward_part(
         begin, end = starts[tile], starts[tile + 1]
         for until in range(end, begin, -GROUP):
             first = max(begin, until - GROUP)
-            fetch_group(packed, entries, first, until - first, group)
+            fetch_group(splats, entries, first, until - first, group)
             for place in range(until - 1, first - 1, -1):
                 slot = slots[entries[place, 1]]
                 blocks = np.int64(blended[place]) & wanted

@@ -71,10 +71,10 @@ def tile_centre(splat: Any, left: float, top: float) -> tuple[float, float]:
 
 
 @step
-def fetch_group(packed: Any, entries: Any, first: int, count: int, group: Any) -> None:
+def fetch_group(splats: Any, entries: Any, first: int, count: int, group: Any) -> None:
     """Copies the splats of `count` entries of a list to `group` `[GROUP, SPLAT_SIZE]`."""
     for k in range(count):
-        splat = packed[entries[first + k, 0]]
+        splat = splats[entries[first + k, 0]]
         for i in range(SPLAT_SIZE):
             group[k, i] = splat[i]
 

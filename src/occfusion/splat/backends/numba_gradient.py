@@ -36,7 +36,7 @@ def pair_gradients(
     quarters = np.empty((torch.get_num_threads(), 4 * GRADIENT_SIZE), np.float32)
     rgb, *others = array_of(grads[0], 1, 3), array_of(grads[1], 1), array_of(grads[2], 1)
     scene = (
-        tape.packed, tape.starts, tape.entries, tape.tiles, *working_space(), quarters, tape.grid, tape.limits,
+        tape.splats, tape.starts, tape.entries, tape.tiles, *working_space(), quarters, tape.grid, tape.limits,
         tape.background, alpha.numpy(), depth.numpy(), tape.blended, tape.kept,
     )  # fmt: skip
     if only_colors:
