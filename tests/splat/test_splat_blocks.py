@@ -10,7 +10,7 @@ import pytest
 
 from occfusion.splat.backends import numba_blocks as blocks
 from occfusion.splat.backends import numba_layout as layout
-from occfusion.splat.backends.numba_blend_backward import sum_of_lanes
+from occfusion.splat.backends.numba_blend_backward import sum_lanes
 
 MARGIN = 0.01
 """Pixels around a block within which an ellipse may count as reaching it."""
@@ -27,8 +27,8 @@ def call_lowest(bits: int) -> Any:
 
 
 @numba.njit
-def call_sum(x: Any) -> Any:
-    return sum_of_lanes(x)
+def call_sums(x: Any, quarters: Any, out: Any) -> None:
+    sum_lanes(x, 2, quarters, out)
 
 
 def splat_row(centre: tuple[float, float], cov: tuple[float, float, float], reach: float) -> np.ndarray:
@@ -129,6 +129,10 @@ def test_lowest_block_takes_a_set_apart() -> None:
         assert found == [k for k in range(32) if bits >> k & 1]
 
 
-def test_sum_of_lanes_is_the_sum_of_sixteen() -> None:
+def test_sum_lanes_is_the_sum_of_sixteen() -> None:
     x = np.random.default_rng(0).standard_normal(40).astype(np.float32)
-    assert call_sum(x) == pytest.approx(float(x[:16].astype(np.float64).sum()), rel=1e-6)
+    out = np.zeros(3, np.float32)
+    call_sums(x, np.empty(8, np.float32), out)
+    assert out[0] == pytest.approx(float(x[:16].astype(np.float64).sum()), rel=1e-6)
+    assert out[1] == pytest.approx(float(x[16:32].astype(np.float64).sum()), rel=1e-6)
+    assert out[2] == 0

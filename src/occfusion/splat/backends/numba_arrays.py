@@ -37,7 +37,6 @@ class Tape:
     """What the backward pass needs from the forward pass."""
 
     splats: Array
-    packed: Array
     starts: Array
     entries: Array
     slots: Array
@@ -63,7 +62,7 @@ def empty_tape() -> Tape:
     """Returns the tape of a picture without Gaussians, each array of its type."""
     rows = np.empty((0, SPLAT_SIZE), np.float32)
     return Tape(
-        rows, rows,
+        rows,
         starts=np.zeros(1, np.int32),
         entries=np.empty((0, 2), np.int32),
         slots=np.zeros(1, np.int32),

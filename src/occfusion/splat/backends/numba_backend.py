@@ -20,7 +20,6 @@ from occfusion.splat.backends.numba_blend import blend_part
 from occfusion.splat.backends.numba_blocks import GROUP
 from occfusion.splat.backends.numba_compile import run_parts
 from occfusion.splat.backends.numba_gradient import COLORS, gaussian_gradients, pair_gradients
-from occfusion.splat.backends.numba_harmonics import BASIS_SIZE
 from occfusion.splat.backends.numba_layout import SPLAT_SIZE, TILE_HEIGHT, TILE_LANES, TILE_WIDTH
 from occfusion.splat.backends.numba_project import project_part
 from occfusion.splat.request import Request
@@ -60,18 +59,18 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     run_parts(
         project_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances, inputs.opacities,
         inputs.colors, inputs.offsets, inputs.camera, window, inputs.options, inputs.degree, splats,
-        radii.numpy(), np.empty((torch.get_num_threads(), BASIS_SIZE), np.float32),
+        radii.numpy(),
     )  # fmt: skip
     order = sort_by_depth(splats, inputs.means, inputs.camera)
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
-    packed, starts, entries, slots = bin_splats(splats, order, x, y, across, down)
+    starts, entries, slots = bin_splats(splats, order, x, y, across, down)
     lengths = np.diff(starts)
     # longest lists first, so that dealing the tiles out in turn gives each thread a like share
     tiles = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
     background = np.zeros(3, np.float32) if request.background is None else array_of(request.background)
     limits = request.limits
     tape = Tape(
-        splats, packed, starts, entries, slots, tiles,
+        splats, starts, entries, slots, tiles,
         grid=np.array([x, y, across]),
         limits=np.array([limits.alpha_max, limits.alpha_min, limits.stop], np.float32),
         background=background,
@@ -85,7 +84,7 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     alpha, depth = torch.zeros(height, width), torch.zeros(height, width)
     reached = np.empty((torch.get_num_threads(), GROUP), np.int32)
     run_parts(
-        blend_part, packed, starts, entries, tiles, *working_space(), reached, tape.grid, tape.limits,
+        blend_part, splats, starts, entries, tiles, *working_space(), reached, tape.grid, tape.limits,
         background, rgb.numpy(), alpha.numpy(), depth.numpy(), tape.kept, tape.blended,
     )  # fmt: skip
     return tape, rgb, alpha, depth, radii

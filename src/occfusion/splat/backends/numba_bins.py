@@ -131,34 +131,35 @@ def first_and_last(low: float, high: float, size: int, most: int) -> tuple[int, 
 
 
 def bin_splats(splats: Any, order: Any, x: int, y: int, across: int, down: int) -> Any:
-    """Returns packed splats `[V, 16]` in depth order, the tile lists, and the gradient slots of each Gaussian.
+    """Returns the tile lists, and the gradient slots of each Gaussian.
 
-    The lists: for each tile the start of its list, `[tiles + 1]`, and the list entries, splat rank and
+    The lists: for each tile the start of its list, `[tiles + 1]`, and the list entries, row of `splats` and
     gradient slot, `[pairs, 2]`, front to back. The slots of a Gaussian follow one another, from its number in
     `[N + 1]`, so that its gradient is the sum over a run, and the runs are in the order of the Gaussians.
     """
-    packed = np.take(splats, order, axis=0)
     by_rank = np.zeros(len(order) + 1, np.int32)  # the first pair of each
     pairs = np.empty((max(1024, 4 * len(order)), 2), np.int32)  # tile and rank
-    count = list_pairs(packed, x, y, across, down, by_rank, pairs)
+    count = list_pairs(splats, order, x, y, across, down, by_rank, pairs)
     if count > len(pairs):
         pairs = np.empty((count, 2), np.int32)
-        list_pairs(packed, x, y, across, down, by_rank, pairs)
+        list_pairs(splats, order, x, y, across, down, by_rank, pairs)
     starts, slots = np.zeros(across * down + 1, np.int32), np.zeros(len(splats) + 1, np.int32)
     entries = np.empty((count, 2), np.int32)
     group_by_tile(pairs, order, by_rank, np.empty(across * down, np.int32), starts, entries, slots)
-    return packed, starts, entries, slots
+    return starts, entries, slots
 
 
 @kernel
-def list_pairs(packed: Any, x: int, y: int, across: int, down: int, by_rank: Any, pairs: Any) -> int:
+def list_pairs(
+    splats: Any, order: Any, x: int, y: int, across: int, down: int, by_rank: Any, pairs: Any
+) -> int:
     """Writes each splat's tiles to `pairs`, (tile, rank), and where they begin to `by_rank`; returns their number.
 
     Pairs that do not fit are counted only.
     """
     slot = 0
-    for rank in range(packed.shape[0]):
-        splat = packed[rank]
+    for rank in range(order.shape[0]):
+        splat = splats[order[rank]]
         centre_x = splat[X_WHOLE] - np.float32(x) + splat[X_PART] - np.float32(0.5)
         centre_y = splat[Y_WHOLE] - np.float32(y) + splat[Y_PART] - np.float32(0.5)
         half = splat[HALF_HEIGHT]
@@ -199,5 +200,5 @@ def group_by_tile(
     for slot in range(count):
         tile, rank = pairs[slot, 0], pairs[slot, 1]
         entry = entries[places[tile]]
-        entry[0], entry[1] = rank, slots[order[rank]] + slot - by_rank[rank]
+        entry[0], entry[1] = order[rank], slots[order[rank]] + slot - by_rank[rank]
         places[tile] += 1

@@ -15,7 +15,7 @@ from occfusion.splat.backends.numba_blocks import (
     reached_blocks,
     tile_centre,
 )
-from occfusion.splat.backends.numba_compile import inline, kernel
+from occfusion.splat.backends.numba_compile import inline, kernel, step
 from occfusion.splat.backends.numba_layout import (
     BLOCK,
     BLOCK_COLUMNS,
@@ -45,6 +45,7 @@ from occfusion.splat.backends.numba_layout import (
     M,
 )
 
+ALL_BLOCKS = (1 << TILE_BLOCKS) - 1
 ZERO = np.float32(0)
 ONE = np.float32(1)
 LOWEST = np.float32(EXP_SHIFT - EXP_RANGE)
@@ -85,7 +86,7 @@ def lane_alpha(
 
 @kernel
 def blend_part(
-    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_reached: Any,
+    splats: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_reached: Any,
     grid: Any, limits: Any, background: Any, rgb: Any, alpha: Any, depth: Any, kept: Any, blended: Any,
     part: int, parts: int,
 ) -> None:  # fmt: skip
@@ -107,14 +108,15 @@ def blend_part(
         left, top = np.float32(grid[0] + tile_x), np.float32(grid[1] + tile_y)
         clear_planes(p, np.float32(width - tile_x), np.float32(height - tile_y))
         begin, end = starts[tile], starts[tile + 1]
+        blending = ALL_BLOCKS
         for first in range(begin, end, GROUP):
-            blending = blending_blocks(p, stop)
+            blending = blending_blocks(p, stop, blending)
             if blending == 0:
                 for place in range(first, end):
                     blended[place] = 0
                 break
             count = min(GROUP, end - first)
-            fetch_group(packed, entries, first, count, group)
+            fetch_group(splats, entries, first, count, group)
             reached_blocks(group, left, top, shapes, reached)
             for k in range(count):
                 blocks = np.int64(reached[k]) & blending
@@ -149,7 +151,7 @@ def blend_part(
         write_tile(p, background, tile_x, tile_y, rgb, alpha, depth)
 
 
-@inline
+@step
 def clear_planes(p: Any, width: float, height: float) -> None:
     """Empties the tile; lanes beyond the crop (`width` x `height` from here) count as fully covered."""
     for block in range(TILE_BLOCKS):
@@ -167,7 +169,7 @@ def place_of(x: int, y: int) -> int:
     return (y // BLOCK * BLOCK_COLUMNS + x // BLOCK) * BLOCK_SIZE + y % BLOCK * BLOCK + x % BLOCK
 
 
-@inline
+@step
 def write_tile(p: Any, background: Any, tile_x: int, tile_y: int, rgb: Any, alpha: Any, depth: Any) -> None:
     """Writes the lanes of a tile to the pixels of the picture that it covers."""
     height, width = alpha.shape

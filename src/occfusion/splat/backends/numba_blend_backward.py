@@ -8,7 +8,7 @@ import numpy as np
 
 from occfusion.splat.backends.numba_blend import ONE, ZERO, lane_alpha, place_of
 from occfusion.splat.backends.numba_blocks import GROUP, fetch_group, lowest_block, tile_centre
-from occfusion.splat.backends.numba_compile import inline, kernel
+from occfusion.splat.backends.numba_compile import kernel, step
 from occfusion.splat.backends.numba_layout import (
     BLOCK_SIZE,
     BLUE,
@@ -43,11 +43,14 @@ from occfusion.splat.backends.numba_layout import (
     TILE_WIDTH,
     M,
 )
+from occfusion.splat.backends.numba_local import local_array
+
+local_sums = local_array((GRADIENT_SIZE * LANES,), np.float32)
 
 
 @kernel
 def blend_backward_part(
-    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_sums: Any,
+    splats: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_quarters: Any,
     grid: Any, limits: Any, background: Any, alpha: Any, depth: Any, blended: Any, kept: Any,
     grad_rgb: Any, grad_alpha: Any, grad_depth: Any, slots: Any, part: int, parts: int,
 ) -> None:  # fmt: skip
@@ -57,7 +60,7 @@ def blend_backward_part(
     alpha / (1 - alpha), which are safe because alpha is capped. Blocks whose pixels have no gradient are left out.
     """
     alpha_max, alpha_min = limits[0], limits[1]
-    p, group, sums = all_planes[part], all_groups[part], all_sums[part]
+    p, group, quarters, sums = all_planes[part], all_groups[part], all_quarters[part], local_sums()
     for number in range(part, tiles.shape[0], parts):
         tile = tiles[number]
         tile_x, tile_y = tile % grid[2] * TILE_WIDTH, tile // grid[2] * TILE_HEIGHT
@@ -68,7 +71,7 @@ def blend_backward_part(
         begin, end = starts[tile], starts[tile + 1]
         for until in range(end, begin, -GROUP):
             first = max(begin, until - GROUP)
-            fetch_group(packed, entries, first, until - first, group)
+            fetch_group(splats, entries, first, until - first, group)
             for place in range(until - 1, first - 1, -1):
                 slot = slots[entries[place, 1]]
                 blocks = np.int64(blended[place]) & wanted
@@ -101,7 +104,7 @@ def blend_backward_part(
                         power = power if full < alpha_max else ZERO
                         q[P_BEHIND + i] += w * s
                         hu, hv = power * u, power * v
-                        # lane by lane in memory: a sum over the lanes of every block would cost more
+                        # lane by lane: a sum over the lanes of every block would cost more
                         sums[G_U * LANES + i] += hu
                         sums[G_V * LANES + i] += hv
                         sums[G_UX * LANES + i] += hu * dx
@@ -112,19 +115,26 @@ def blend_backward_part(
                         sums[G_GREEN * LANES + i] += w * g_g
                         sums[G_BLUE * LANES + i] += w * g_b
                         sums[G_DEPTH * LANES + i] += w * g_z
-                for j in range(GRADIENT_SIZE):
-                    slot[j] = sum_of_lanes(sums[j * LANES :])
+                sum_lanes(sums, GRADIENT_SIZE, quarters, slot)
 
 
-@inline
-def sum_of_lanes(x: Any) -> Any:
-    """Returns the sum of the first 16 numbers, two by two: half the rounding and half the waiting of one by one."""
-    even = ((x[0] + x[8]) + (x[4] + x[12])) + ((x[2] + x[10]) + (x[6] + x[14]))
-    odd = ((x[1] + x[9]) + (x[5] + x[13])) + ((x[3] + x[11]) + (x[7] + x[15]))
-    return even + odd
+@step
+def sum_lanes(sums: Any, count: int, quarters: Any, out: Any) -> None:
+    """Writes the sum of the first 16 numbers of `sums` to `out[0]`, of the next 16 to `out[1]`, `count` times.
+
+    Two by two: half the rounding and half the waiting of one by one. `quarters` `[4 count]` is working space: four
+    neighbours that go to memory are seen to be a vector.
+    """
+    for j in range(count):
+        for i in range(4):
+            k = j * LANES + i
+            quarters[4 * j + i] = (sums[k] + sums[k + 8]) + (sums[k + 4] + sums[k + 12])
+    for j in range(count):
+        k = 4 * j
+        out[j] = (quarters[k] + quarters[k + 2]) + (quarters[k + 1] + quarters[k + 3])
 
 
-@inline
+@step
 def load_kept(kept: Any, p: Any) -> None:
     """Writes what the forward pass kept of a tile, `[2, TILE_LANES]`, to the planes."""
     for block in range(TILE_BLOCKS):
@@ -134,7 +144,7 @@ def load_kept(kept: Any, p: Any) -> None:
             q[LATEST + i] = kept[1, block * LANES + i]
 
 
-@inline
+@step
 def load_gradients(
     grad_rgb: Any, grad_alpha: Any, grad_depth: Any, alpha: Any, depth: Any, background: Any,
     tile_x: int, tile_y: int, p: Any,
@@ -168,7 +178,7 @@ def load_gradients(
             p[P_COVERED + i] = covered
 
 
-@inline
+@step
 def blocks_with_gradient(p: Any) -> int:
     """Returns the blocks with a pixel that has a gradient."""
     blocks = 0

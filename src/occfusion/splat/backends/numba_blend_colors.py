@@ -11,14 +11,12 @@ from occfusion.splat.backends.numba_blend_backward import (
     blocks_with_gradient,
     load_gradients,
     load_kept,
-    sum_of_lanes,
+    sum_lanes,
 )
 from occfusion.splat.backends.numba_blocks import GROUP, fetch_group, lowest_block, tile_centre
 from occfusion.splat.backends.numba_compile import kernel
 from occfusion.splat.backends.numba_layout import (
     BLOCK_SIZE,
-    G_BLUE,
-    G_GREEN,
     G_RED,
     GRADIENT_SIZE,
     L1,
@@ -34,11 +32,14 @@ from occfusion.splat.backends.numba_layout import (
     TILE_WIDTH,
     M,
 )
+from occfusion.splat.backends.numba_local import local_array
+
+local_sums = local_array((3 * LANES,), np.float32)
 
 
 @kernel
 def blend_colors_backward_part(
-    packed: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_sums: Any,
+    splats: Any, starts: Any, entries: Any, tiles: Any, all_planes: Any, all_groups: Any, all_quarters: Any,
     grid: Any, limits: Any, background: Any, alpha: Any, depth: Any, blended: Any, kept: Any, grad_rgb: Any, slots: Any,
     part: int, parts: int,
 ) -> None:  # fmt: skip
@@ -48,7 +49,7 @@ def blend_colors_backward_part(
     depend on what else was asked for.
     """
     alpha_max, alpha_min = limits[0], limits[1]
-    p, group, sums = all_planes[part], all_groups[part], all_sums[part]
+    p, group, quarters, sums = all_planes[part], all_groups[part], all_quarters[part], local_sums()
     absent = np.empty((0, 1), np.float32)
     for number in range(part, tiles.shape[0], parts):
         tile = tiles[number]
@@ -60,7 +61,7 @@ def blend_colors_backward_part(
         begin, end = starts[tile], starts[tile + 1]
         for until in range(end, begin, -GROUP):
             first = max(begin, until - GROUP)
-            fetch_group(packed, entries, first, until - first, group)
+            fetch_group(splats, entries, first, until - first, group)
             for place in range(until - 1, first - 1, -1):
                 slot = slots[entries[place, 1]]
                 for j in range(GRADIENT_SIZE):
@@ -88,6 +89,4 @@ def blend_colors_backward_part(
                         sums[i] += w * q[P_RED + i]
                         sums[LANES + i] += w * q[P_GREEN + i]
                         sums[2 * LANES + i] += w * q[P_BLUE + i]
-                slot[G_RED] = sum_of_lanes(sums)
-                slot[G_GREEN] = sum_of_lanes(sums[LANES:])
-                slot[G_BLUE] = sum_of_lanes(sums[2 * LANES :])
+                sum_lanes(sums, 3, quarters, slot[G_RED:])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from occfusion.splat.backends.numba_bins import SLACK, strip_span
-from occfusion.splat.backends.numba_compile import inline
+from occfusion.splat.backends.numba_compile import inline, step
 from occfusion.splat.backends.numba_layout import (
     BLOCK,
     BLOCK_BITS,
@@ -25,7 +25,6 @@ from occfusion.splat.backends.numba_layout import (
     REACH,
     SPLAT_SIZE,
     THROUGH,
-    TILE_BLOCKS,
     TILE_WIDTH,
     TURN,
     X_PART,
@@ -71,16 +70,16 @@ def tile_centre(splat: Any, left: float, top: float) -> tuple[float, float]:
     return (splat[X_WHOLE] - left) + (splat[X_PART] - HALF), (splat[Y_WHOLE] - top) + (splat[Y_PART] - HALF)
 
 
-@inline
-def fetch_group(packed: Any, entries: Any, first: int, count: int, group: Any) -> None:
+@step
+def fetch_group(splats: Any, entries: Any, first: int, count: int, group: Any) -> None:
     """Copies the splats of `count` entries of a list to `group` `[GROUP, SPLAT_SIZE]`."""
     for k in range(count):
-        splat = packed[entries[first + k, 0]]
+        splat = splats[entries[first + k, 0]]
         for i in range(SPLAT_SIZE):
             group[k, i] = splat[i]
 
 
-@inline
+@step
 def reached_blocks(group: Any, left: float, top: float, shapes: Any, blocks: Any) -> None:
     """Writes the set of blocks that each splat of a group reaches in a tile to `blocks`, int32 `[GROUP]`.
 
@@ -113,14 +112,17 @@ def reached_blocks(group: Any, left: float, top: float, shapes: Any, blocks: Any
             blocks[k] |= np.int32(bits << np.int32(BLOCK_COLUMNS * row))
 
 
-@inline
-def blending_blocks(planes: Any, stop: float) -> int:
-    """Returns the blocks with a lane that still blends."""
-    blocks = 0
-    for block in range(TILE_BLOCKS):
+@step
+def blending_blocks(planes: Any, stop: float, blocks: int) -> int:
+    """Returns those of the blocks that have a lane that still blends."""
+    blending, left = 0, blocks
+    # one set bit after another: a loop over all blocks would become vector code that fetches lane by lane
+    while left != 0:
+        block, rest = lowest_block(left)
         through = planes[block * BLOCK_SIZE + THROUGH :]
         count = 0
         for i in range(LANES):
             count += through[i] >= stop
-        blocks |= (1 if count > 0 else 0) << block
-    return blocks
+        blending |= left ^ rest if count > 0 else 0
+        left = rest
+    return blending

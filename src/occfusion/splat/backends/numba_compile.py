@@ -52,6 +52,12 @@ def inline(function: Callable[..., Any]) -> Callable[..., Any]:
     return helper
 
 
+def step(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Returns a helper that becomes text of the kernels that call it: for those called once, it compiles faster."""
+    helper: Callable[..., Any] = numba.njit(inline="always")(function)
+    return helper
+
+
 @lru_cache(maxsize=4)
 def _pool(workers: int, process: int) -> ThreadPoolExecutor:
     """Returns the threads; `process` keeps a forked child from waiting for its parent's."""

@@ -19,10 +19,9 @@ from occfusion.splat.backends.numba_arrays import (
 )
 from occfusion.splat.backends.numba_blend_backward import blend_backward_part
 from occfusion.splat.backends.numba_blend_colors import blend_colors_backward_part
+from occfusion.splat.backends.numba_columns import PART
 from occfusion.splat.backends.numba_compile import run_parts
-from occfusion.splat.backends.numba_harmonics import BASIS_SIZE
-from occfusion.splat.backends.numba_layout import GRADIENT_SIZE, LANES
-from occfusion.splat.backends.numba_project import PART
+from occfusion.splat.backends.numba_layout import GRADIENT_SIZE
 from occfusion.splat.backends.numba_project_backward import project_backward_part
 
 GRADIENTS = ("means", "quats", "scales", "covariances", "opacities", "colors", "offsets")
@@ -34,10 +33,10 @@ def pair_gradients(
 ) -> Array:
     """Returns the gradient of each (splat, tile) pair `[pairs, 10]`; the colours' columns alone where asked."""
     slots = np.empty((len(tape.entries), GRADIENT_SIZE), np.float32)
-    sums = np.empty((torch.get_num_threads(), GRADIENT_SIZE * LANES), np.float32)
+    quarters = np.empty((torch.get_num_threads(), 4 * GRADIENT_SIZE), np.float32)
     rgb, *others = array_of(grads[0], 1, 3), array_of(grads[1], 1), array_of(grads[2], 1)
     scene = (
-        tape.packed, tape.starts, tape.entries, tape.tiles, *working_space(), sums, tape.grid, tape.limits,
+        tape.splats, tape.starts, tape.entries, tape.tiles, *working_space(), quarters, tape.grid, tape.limits,
         tape.background, alpha.numpy(), depth.numpy(), tape.blended, tape.kept,
     )  # fmt: skip
     if only_colors:
@@ -62,13 +61,12 @@ def gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Arra
         for result, shape in zip(results, shapes, strict=True)
     ]
     means, quats, scales, covariances, opacities, colors, offsets = arrays
-    camera = np.zeros((-(-len(inputs.means) // PART), 12))
-    basis = np.empty((torch.get_num_threads(), 2, BASIS_SIZE), np.float32)
+    camera = np.zeros((-(-len(inputs.means) // PART) if needed[7] else 0, 12))
     run_parts(
         project_backward_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances,
         inputs.opacities, inputs.colors, inputs.camera, inputs.options, inputs.degree,
         tape.splats, tape.slots, pair_slots,
-        means, quats, scales, covariances, opacities, colors, offsets, camera, bool(needed[7]), basis,
+        means, quats, scales, covariances, opacities, colors, offsets, camera, bool(needed[7]),
     )  # fmt: skip
     color = results[COLORS]
     if color is not None and inputs.degree >= 0:

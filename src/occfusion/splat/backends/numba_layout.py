@@ -3,7 +3,7 @@
 A tile is `TILE_WIDTH` x `TILE_HEIGHT` pixels and is stored as blocks of 4 x 4 pixels, 16 lanes
 each: a splat touches few blocks in vain, and a block is a whole number of vectors.
 
-A splat is one row of 16 numbers, one cache line, in order of depth.
+A splat is one row of 16 numbers, one cache line.
 """
 
 from __future__ import annotations
