@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.splat.backends.numba_compile import inline, kernel
+from occfusion.compilation import inline, kernel
 
 LANES = 64
 """Channels handled at a time: all positions of a tile then fit the first cache."""

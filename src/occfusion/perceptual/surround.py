@@ -15,10 +15,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from occfusion.compilation import run_parts
 from occfusion.perceptual.kernels import LANES, pool_places, sum_distances
 from occfusion.perceptual.network import BLOCKS, VggFeatures
 from occfusion.perceptual.winograd import working_space
-from occfusion.splat.backends.numba_compile import run_parts
 
 SMALL = 320
 """Least side in pixels of the small black picture. The borders are felt 8 positions deep in the last block, that is

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from occfusion.compilation import run_parts
 from occfusion.perceptual.kernels import LANES, SPACE, finish_tiles, transform_tiles
-from occfusion.splat.backends.numba_compile import run_parts
 
 TILE = 4
 WORDS = 300_000

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from occfusion.compilation import run_parts
 from occfusion.errors import ConfigError
 from occfusion.splat.backends import numba_ahead
 from occfusion.splat.backends.layers import Layers
@@ -18,7 +19,6 @@ from occfusion.splat.backends.numba_arrays import Inputs, Tape, array_of, inputs
 from occfusion.splat.backends.numba_bins import bin_splats, sort_by_depth
 from occfusion.splat.backends.numba_blend import blend_part
 from occfusion.splat.backends.numba_blocks import GROUP
-from occfusion.splat.backends.numba_compile import run_parts
 from occfusion.splat.backends.numba_gradient import COLORS, gaussian_gradients, pair_gradients
 from occfusion.splat.backends.numba_layout import SPLAT_SIZE, TILE_HEIGHT, TILE_LANES, TILE_WIDTH
 from occfusion.splat.backends.numba_project import project_part

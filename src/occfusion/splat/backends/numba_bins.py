@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.splat.backends.numba_compile import inline, kernel
+from occfusion.compilation import inline, kernel
 from occfusion.splat.backends.numba_layout import (
     DEPTH,
     HALF_HEIGHT,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from occfusion.compilation import inline, kernel, step
 from occfusion.splat.backends.numba_blocks import (
     GROUP,
     HALF,
@@ -15,7 +16,6 @@ from occfusion.splat.backends.numba_blocks import (
     reached_blocks,
     tile_centre,
 )
-from occfusion.splat.backends.numba_compile import inline, kernel, step
 from occfusion.splat.backends.numba_layout import (
     BLOCK,
     BLOCK_COLUMNS,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from occfusion.compilation import kernel
 from occfusion.splat.backends.numba_blend import ONE, ZERO, lane_alpha
 from occfusion.splat.backends.numba_blend_backward import (
     blocks_with_gradient,
@@ -14,7 +15,6 @@ from occfusion.splat.backends.numba_blend_backward import (
     sum_lanes,
 )
 from occfusion.splat.backends.numba_blocks import GROUP, fetch_group, lowest_block, tile_centre
-from occfusion.splat.backends.numba_compile import kernel
 from occfusion.splat.backends.numba_layout import (
     BLOCK_SIZE,
     G_RED,

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from occfusion.compilation import inline, step
 from occfusion.splat.backends.numba_bins import SLACK, strip_span
-from occfusion.splat.backends.numba_compile import inline, step
 from occfusion.splat.backends.numba_layout import (
     BLOCK,
     BLOCK_BITS,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from occfusion.compilation import step
 from occfusion.splat.backends.numba_columns import (
     COLUMNS,
     DX,
@@ -28,7 +29,6 @@ from occfusion.splat.backends.numba_columns import (
     spread_basis,
     transpose,
 )
-from occfusion.splat.backends.numba_compile import step
 from occfusion.splat.backends.numba_geometry import dot
 from occfusion.splat.backends.numba_geometry_backward import (
     covariance_gradient,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.splat.backends.numba_compile import inline
+from occfusion.compilation import inline
 from occfusion.splat.limits import QUATERNION_FLOOR
 
 

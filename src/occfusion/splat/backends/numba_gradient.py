@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from occfusion.compilation import run_parts
 from occfusion.splat.backends.numba_arrays import (
     Array,
     Inputs,
@@ -20,7 +21,6 @@ from occfusion.splat.backends.numba_arrays import (
 from occfusion.splat.backends.numba_blend_backward import blend_backward_part
 from occfusion.splat.backends.numba_blend_colors import blend_colors_backward_part
 from occfusion.splat.backends.numba_columns import PART
-from occfusion.splat.backends.numba_compile import run_parts
 from occfusion.splat.backends.numba_layout import GRADIENT_SIZE
 from occfusion.splat.backends.numba_project_backward import project_backward_part
 

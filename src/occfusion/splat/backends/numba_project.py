@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from occfusion.compilation import kernel, step
 from occfusion.splat.backends.numba_columns import (
     COLUMNS,
     FLAT,
@@ -26,7 +27,6 @@ from occfusion.splat.backends.numba_columns import (
     see,
     spread_basis,
 )
-from occfusion.splat.backends.numba_compile import kernel, step
 from occfusion.splat.backends.numba_layout import (
     BLUE,
     DEPTH,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from occfusion.compilation import kernel
 from occfusion.splat.backends.numba_columns import (
     PART,
     face,
@@ -41,7 +42,6 @@ from occfusion.splat.backends.numba_columns_backward import (
     write_colors,
     write_symmetric,
 )
-from occfusion.splat.backends.numba_compile import kernel
 from occfusion.splat.backends.numba_layout import L1, L2, M
 from occfusion.splat.backends.numba_local import local_array
 from occfusion.splat.backends.numba_pairs import sum_pairs

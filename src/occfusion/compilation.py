@@ -1,4 +1,4 @@
-"""How the `numba` kernels are compiled, cached and spread over threads.
+"""How kernels, of the rasteriser and of the perceptual metric, are compiled by numba, cached and spread over threads.
 
 Kernels are plain serial loops that release the interpreter lock; a few Python threads run them on
 interleaved parts of the work. Compared with numba's own `prange` that compiles in a third of the
@@ -39,7 +39,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     try:
         compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
     except RuntimeError as error:  # no folder to cache in can be written
-        logger.warning("compiled rasteriser code cannot be cached (%s); set NUMBA_CACHE_DIR", error)
+        logger.warning("compiled code cannot be cached (%s); set NUMBA_CACHE_DIR", error)
         compiled = numba.njit(**options)(function)
     return compiled
 
@@ -61,7 +61,7 @@ def step(function: Callable[..., Any]) -> Callable[..., Any]:
 @lru_cache(maxsize=4)
 def _pool(workers: int, process: int) -> ThreadPoolExecutor:
     """Returns the threads; `process` keeps a forked child from waiting for its parent's."""
-    return ThreadPoolExecutor(workers, thread_name_prefix="occfusion-splat")
+    return ThreadPoolExecutor(workers, thread_name_prefix="occfusion-kernel")
 
 
 def run_parts(function: Callable[..., None], *arguments: Any) -> None:
