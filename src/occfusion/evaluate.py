@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from occfusion.metrics import (
 )
 from occfusion.perceptual import PerceptualMetric
 from occfusion.types import Box, Frame, Rendering
+from occfusion.workers import spread
 
 METRICS = ("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm")
 REGIONS = ("full", "box", "visible", "hidden")
@@ -66,6 +68,8 @@ def evaluate_frames(
 ) -> list[ImageRow]:
     """Returns one row for each frame and region, frames in their order.
 
+    On a CPU as many pictures are compared at a time as torch has threads.
+
     Args:
         render: gives the picture over black at the size of the frame.
         frames: what to compare with; taken one at a time.
@@ -77,11 +81,20 @@ def evaluate_frames(
     Raises:
         ConfigError: an unknown region.
     """
-    rows: list[ImageRow] = []
-    for number, frame in enumerate(frames):
-        metric = perceptual if number % perceptual_every == 0 else None
-        rows += evaluate_image(render(frame), frame, regions, metric)
-    return rows
+    rendered = ((render(frame), frame, number) for number, frame in enumerate(frames))
+    first = next(rendered, None)
+    if first is None:
+        return []
+
+    @torch.inference_mode()  # holds for the thread that sets it
+    def rows_of(image: tuple[Rendering, Frame, int]) -> list[ImageRow]:
+        rendering, frame, number = image
+        return evaluate_image(
+            rendering, frame, regions, perceptual if number % perceptual_every == 0 else None
+        )
+
+    workers = torch.get_num_threads() if first[0].rgb.device.type == "cpu" else 1
+    return [row for rows in spread(rows_of, chain([first], rendered), workers) for row in rows]
 
 
 def evaluate_image(

@@ -8,6 +8,7 @@ Convolutions are Winograd's (`winograd`). Float32 on a CPU.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,9 +76,8 @@ class BlackSurround:
         copied: VggFeatures = memo.get(id(self._network), self._network)  # type: ignore[assignment]
         return BlackSurround(copied)
 
-    @torch.no_grad()
-    def parts(self, pictures: Tensor, lit: Tensor, black: float) -> list[Map]:
-        """Returns the last activations of the five blocks.
+    def parts(self, pictures: Tensor, lit: Tensor, black: float) -> Iterator[Map]:
+        """Yields the last activations of the five blocks, which are large and dropped when the next are asked for.
 
         Args:
             pictures: as the network takes them, float32 `[N, 3, H, W]`.
@@ -85,13 +85,12 @@ class BlackSurround:
             black: the value of black.
         """
         known = None if bool(lit.all()) else self._maps_of_black(lit.shape[0], lit.shape[1], black)
-        felt, maps, current = lit, [], None
+        felt, current = lit, None
         for number, step in enumerate(steps()):
             felt = self._network.reach(felt, pools=step == POOL)
             current = self._step(step, current, pictures, felt, None if known is None else known[number])
             if step in LAST:
-                maps.append(current)
-        return maps
+                yield current
 
     def _step(
         self, step: str, before: Map | None, pictures: Tensor, felt: Tensor, known: Array | None

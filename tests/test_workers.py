@@ -1,0 +1,62 @@
+"""Work spread over threads comes back in order, whatever happens to it."""
+
+import threading
+import time
+
+import pytest
+import torch
+
+from occfusion.workers import spread
+
+
+@pytest.fixture(autouse=True)
+def two_threads():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    assert torch.get_num_threads() == 2, "given back"
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_order_is_that_of_the_items(workers):
+    def late(n: int) -> int:
+        time.sleep(0.02 if n % 3 == 0 else 0.0)
+        return n * n
+
+    assert list(spread(late, range(10), workers)) == [n * n for n in range(10)]
+    assert list(spread(late, [], workers)) == []
+
+
+def test_several_at_a_time_with_one_thread_of_torch_each():
+    both = threading.Barrier(2, timeout=20)
+
+    def meet(_: int) -> int:
+        both.wait()  # passes only when two are here
+        return torch.get_num_threads()
+
+    assert list(spread(meet, range(4), 2)) == [1, 1, 1, 1]
+
+
+def test_items_are_taken_as_they_are_needed():
+    taken = []
+
+    def items():
+        for n in range(100):
+            taken.append(n)
+            yield n
+
+    results = spread(lambda n: n, items(), 2)
+    assert next(results) == 0
+    assert len(taken) <= 4
+    assert list(results) == list(range(1, 100))
+
+
+def test_an_error_reaches_the_caller():
+    def fail(n: int) -> int:
+        if n == 3:
+            raise ValueError("third")
+        return n
+
+    with pytest.raises(ValueError, match="third"):
+        list(spread(fail, range(8), 2))
