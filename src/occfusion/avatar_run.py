@@ -71,7 +71,7 @@ def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse
         stage=Named("optim"),
         variant=VariantSettings("B", ["init", "optim"]),
         dataset=dataset,
-        optim=replace(settings.optim, sds=SdsSettings()),
+        optim=replace(settings.optim, sds=SdsSettings(), gaussians=0),  # as the whole system starts
         evaluation=replace(settings.evaluation, curve=False, perceptual=False),
         seed=scene.seed,
         output_dir=str(folder),

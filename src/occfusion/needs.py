@@ -122,6 +122,17 @@ def is_perceptual_term_deferred(settings: Settings) -> bool:
     return both and _may_leave_out(settings) and "refine" in settings.variant.stages
 
 
+def start_decision(settings: Settings) -> Decision:
+    """Returns whether there are more Gaussians at the start than the body has vertices.
+
+    The whole system leaves that to its refinement, which adds them where they are needed.
+    """
+    asked, reason = settings.optim.gaussians > 0, f"optim.gaussians = {settings.optim.gaussians}"
+    added = asked and _may_leave_out(settings) and settings.refine.densify
+    reason += "; the refinement adds Gaussians where they are needed" if added else ""
+    return Decision("Gaussians between the body's vertices at the start", asked and not added, reason)
+
+
 def correction_decision(stage: str, settings: AvatarSettings, networks: Sequence[Decision]) -> Decision:
     """Returns whether a stage keeps pose corrections small: only where there are any."""
     part = "loss term correction" + ("" if stage == "optim" else f" in {stage}")
@@ -151,7 +162,8 @@ def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings
         settings.optim, sds=sds, refine_pose=refine_pose, pose_knots=pose_knots, learn_skinning=learn_skinning
     )
     optim_weight, refine_weight = _hidden_mask_weights(settings, moments)
-    optim = replace(optim, mask_hidden=optim_weight)
+    gaussians = settings.optim.gaussians if start_decision(settings).used else 0
+    optim = replace(optim, mask_hidden=optim_weight, gaussians=gaussians)
     refine = replace(settings.refine, mask_hidden=refine_weight)
     if is_perceptual_term_deferred(settings):
         optim = replace(optim, lambda_lpips=0.0)

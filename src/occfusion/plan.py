@@ -21,6 +21,7 @@ from occfusion.needs import (
     network_decisions,
     sds_decisions,
     stage_decisions,
+    start_decision,
 )
 from occfusion.perceptual import training_dtype
 from occfusion.priors.moments import Moment
@@ -61,6 +62,7 @@ def make_plan(
     networks = network_decisions(settings, moments)
     plan += networks
     plan.append(correction_decision("optim", optim, networks))
+    plan.append(start_decision(settings))
     plan.append(Decision("densification", optim.densify, f"optim.densify = {optim.densify}"))
     if is_refined:
         refine = settings.refine

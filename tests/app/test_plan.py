@@ -94,7 +94,7 @@ def test_what_is_left_out_does_not_keep_results_apart() -> None:
     moments = frames(*[0.5] * 12)
     whole, distilled = (as_planned(settings_of(f"variant={v}", "plan=full"), moments) for v in "ED")
     assert optim_hash(whole) == optim_hash(distilled)
-    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1")
+    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false")
     needed, masks = (as_planned(settings_of(f"variant={v}", *alike), moments) for v in "EB")
     assert optim_hash(needed) == optim_hash(masks)
     assert optim_hash(needed) != optim_hash(settings_of("variant=E"))
@@ -132,6 +132,28 @@ def test_the_optimisation_leaves_its_perceptual_term_to_the_refinement(
     settings = settings_of(*overrides)
     assert used(settings, moments)["loss term lpips"] == built
     assert (as_planned(settings, moments).optim.lambda_lpips > 0) == built
+
+
+@pytest.mark.parametrize(
+    ("overrides", "gaussians"),
+    [
+        ((), 0),
+        (("stage=optim",), 0),
+        (("plan=full",), 20_000),
+        (("refine.densify=false",), 20_000),
+        (("variant=A",), 20_000),
+        (("variant=D", "optim.gaussians=9000"), 9000),
+        (("variant=gauhuman",), 0),
+    ],
+)
+def test_the_whole_system_leaves_gaussians_between_vertices_to_its_refinement(
+    overrides: tuple[str, ...], gaussians: int
+) -> None:
+    settings = settings_of(*overrides)
+    moments = frames(*[0.5] * 8, *[0.0] * 4)
+    assert as_planned(settings, moments).optim.gaussians == gaussians
+    part = "Gaussians between the body's vertices at the start"
+    assert used(settings, moments)[part] == (gaussians > 0)
 
 
 def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
