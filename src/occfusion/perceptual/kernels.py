@@ -2,8 +2,8 @@
 
 Positions are those of the whole map, whatever part of it is held in memory. Channels come in groups of `LANES`: the
 numbers of a group have an axis of their own, so that the compiler sees that an index into them is never negative.
-Positions are loaded, and tiles transformed, in the text of the kernels: as helpers that are given arrays they took two to
-four times as long.
+Positions are loaded, and tiles transformed, in the text of the kernels: helpers that are given arrays took two to four
+times as long.
 """
 
 from __future__ import annotations
