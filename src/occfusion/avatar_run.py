@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -212,7 +213,13 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
 
 def _warm_up(run_: Run, stage: str) -> None:
     """Compiles what the first step would wait for, so that the first run on a machine trains no longer than others."""
-    seconds = warm_up(run_.backend, device_of(run_.settings))
+    started = time.perf_counter()
+    warm_up(run_.backend, device_of(run_.settings))
+    planned, metric = as_planned(run_.settings, run_.moments), run_.training_metric
+    weight = planned.optim.lambda_lpips if stage == "optim" else planned.refine.lambda_lpips
+    if metric is not None and weight > 0:
+        metric.warm_up()
+    seconds = time.perf_counter() - started
     if seconds >= WARM_UP_SAID:
         print(
             f"{stage}: rasteriser {run_.backend} ready after {seconds:.1f} s, before the training clock starts"
