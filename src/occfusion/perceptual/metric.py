@@ -93,6 +93,8 @@ class PerceptualMetric(nn.Module):
         if a.shape != b.shape or not compiled or min(a.shape[:2]) < SMALLEST:
             return self(a, b)  # refuses pictures of two shapes
         lit = ((a.clamp(0, 1) != 0) | (b.clamp(0, 1) != 0)).any(dim=2)  # what is not a number is lit
+        if bool(lit.all()):
+            return self(a, b)  # nothing is black
         rows, columns = lit.any(dim=1).nonzero(), lit.any(dim=0).nonzero()
         if len(rows) == 0:
             return a.new_zeros(())
