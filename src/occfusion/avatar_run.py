@@ -72,7 +72,8 @@ def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse
         stage=Named("optim"),
         variant=VariantSettings("B", ["init", "optim"]),
         dataset=dataset,
-        optim=replace(settings.optim, sds=SdsSettings(), gaussians=0),  # as the whole system starts
+        # as the whole system starts, but under even light, as the embedded weights were trained
+        optim=replace(settings.optim, sds=SdsSettings(), gaussians=0, key_light=False),
         evaluation=replace(settings.evaluation, curve=False, perceptual=False),
         seed=scene.seed,
         output_dir=str(folder),

@@ -9,6 +9,7 @@ import numpy as np
 
 from occfusion.config import STAGES, Settings, stages_to_run
 from occfusion.priors.evidence import HIDDEN_SHARE
+from occfusion.priors.key_light import KeyLight
 from occfusion.priors.moments import Moment
 from occfusion.stages.avatar import BOX_PADDING
 from occfusion.stages.settings import AvatarSettings
@@ -28,6 +29,11 @@ FITTING = 1e-3
 poses have 4e-5 at most, those with an estimator's errors and ragged masks 2.6e-2 at least (docs/leaving_out.md)."""
 FRAMES_TO_JUDGE = 10
 """Fewer frames of a whole person say too little about how well poses fit."""
+
+LIT = 0.1
+"""Of the differences between sightings of a point of the body: a lamp that explains less is left out."""
+DETERMINED = 50.0
+"""Condition up to which the frames tell where a lamp is; embedded scenes have 4 to 8 (docs/key_light.md)."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +137,20 @@ def start_decision(settings: Settings) -> Decision:
     added = asked and _may_leave_out(settings) and settings.refine.densify
     reason += "; the refinement adds Gaussians where they are needed" if added else ""
     return Decision("Gaussians between the body's vertices at the start", asked and not added, reason)
+
+
+def key_light_decision(settings: Settings, found: KeyLight | None) -> Decision:
+    """Returns whether colours change with a lamp: where one explains much of how body points change as they turn."""
+    part, reason = "key light", f"optim.key_light = {settings.optim.key_light}"
+    if not settings.optim.key_light:
+        return Decision(part, False, reason)
+    if found is None:
+        return Decision(part, False, f"{reason}; too little of the body is seen often enough to tell")
+    reason += f"; a lamp explains {found.explained:.0%} of how points of the body change as they turn"
+    if found.condition > DETERMINED:
+        return Decision(part, False, f"{reason}; the frames do not tell where it is")
+    used = found.explained >= LIT or settings.plan == "full"
+    return Decision(part, used, reason if used else f"{reason}; {LIT:.0%} would be worth it")
 
 
 def correction_decision(stage: str, settings: AvatarSettings, networks: Sequence[Decision]) -> Decision:

@@ -17,6 +17,7 @@ from occfusion.needs import (
     hidden_mask_decision,
     inpainting_decision,
     is_perceptual_term_deferred,
+    key_light_decision,
     mask_decision,
     network_decisions,
     sds_decisions,
@@ -24,12 +25,17 @@ from occfusion.needs import (
     start_decision,
 )
 from occfusion.perceptual import training_dtype
+from occfusion.priors.key_light import KeyLight
 from occfusion.priors.moments import Moment
 from occfusion.stages.settings import AvatarSettings
 
 
 def make_plan(
-    settings: Settings, summary: Mapping[str, Any], backend: str, moments: Sequence[Moment] | None = None
+    settings: Settings,
+    summary: Mapping[str, Any],
+    backend: str,
+    moments: Sequence[Moment] | None = None,
+    key_light: KeyLight | None = None,
 ) -> list[Decision]:
     """Returns the decisions for a run, from its settings and from what the data folder showed.
 
@@ -38,6 +44,7 @@ def make_plan(
         summary: the DataModule's summary; uses `occluded_frames` and `frames`.
         backend: the rasteriser backend that runs.
         moments: what masks and poses say of the training frames; None where nothing depends on it.
+        key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
     """
     optim = settings.optim
     plan = stage_decisions(settings, moments)
@@ -62,6 +69,7 @@ def make_plan(
     networks = network_decisions(settings, moments)
     plan += networks
     plan.append(correction_decision("optim", optim, networks))
+    plan.append(key_light_decision(settings, key_light))
     plan.append(start_decision(settings))
     plan.append(Decision("densification", optim.densify, f"optim.densify = {optim.densify}"))
     if is_refined:

@@ -6,17 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from occfusion import plan as planning
 from occfusion.compose import make_body, make_data
 from occfusion.config import Settings, stages_to_run
 from occfusion.data.module import HumanDataModule
 from occfusion.files.atomic import write_json
-from occfusion.human import Avatar, Gaussians, PoseSpline
+from occfusion.human import Avatar, Body, Gaussians, PoseSpline
 from occfusion.init_run import look_at_training_frames
 from occfusion.inpaint.registry import check_inpainter
 from occfusion.needs import Decision, as_planned, may_leave_out_networks, with_everything
 from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
+from occfusion.priors.key_light import KeyLight, find_key_light
 from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior
 from occfusion.processes import is_helper, local_rank
@@ -76,11 +78,18 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     backend = resolve_backend(settings.rasterizer.name, device_of(settings), torch.float32)
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
     is_hidden_weighed = settings.optim.mask_hidden < 1.0
-    are_frames_judged = is_prior_asked or may_leave_out_networks(settings) or is_hidden_weighed
+    are_frames_judged = (
+        is_prior_asked or may_leave_out_networks(settings) or is_hidden_weighed or settings.optim.key_light
+    )
     moments = look_at_training_frames(data, body) if are_frames_judged else None
+    key_light = None
+    if moments is not None and settings.optim.key_light:
+        key_light = find_key_light(
+            lambda k: data.train_frame(k, truth=False), moments, body.faces.cpu().numpy()
+        )
     if moments is not None and settings.plan == "full":
         moments = with_everything(moments)
-    decisions = planning.make_plan(settings, summary, backend, moments)
+    decisions = planning.make_plan(settings, summary, backend, moments, key_light)
     decisions += planning.precision_decisions(settings, decisions, device_of(settings))
     _check_priors(settings, decisions)
     folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
@@ -108,9 +117,14 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         learn_skinning=optim.learn_skinning,
         skinning_every=optim.skinning_every,
         sh_frame=optim.sh_frame,
+        key_light=_vector(key_light, body) if "key light" not in planning.left_out(decisions) else None,
         gaussians=Gaussians.on_body(body, sh_degree, optim.gaussians),
     )
     return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"], stages)
+
+
+def _vector(key_light: KeyLight | None, body: Body) -> Tensor | None:
+    return None if key_light is None else torch.from_numpy(key_light.vector).to(body.v_template)
 
 
 def _check_priors(settings: Settings, decisions: list[Decision]) -> None:

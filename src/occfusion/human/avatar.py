@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from typing import Any, Literal
 
 import torch
@@ -12,21 +12,20 @@ from torch import Tensor, nn
 from occfusion.errors import ConfigError
 from occfusion.files.bodyfile import NUM_JOINTS
 from occfusion.geometry.neighbours import Neighbours, nearest
+from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.skinning import bone_transforms
 from occfusion.human.binding import Binding, bind
 from occfusion.human.body import Body
 from occfusion.human.carry import Carried, blend_columns, carry
 from occfusion.human.deform import PoseRefiner, SkinningField, skinning_weights
 from occfusion.human.gaussians import Gaussians
+from occfusion.human.memo import Memo
 from occfusion.human.pose_spline import PoseSpline
-from occfusion.splat.harmonics import evaluate
+from occfusion.human.shading import brightness, seen_colors
 from occfusion.types import Cloud, Pose
 
 ShFrame = Literal["canonical", "world"]
 SH_FRAMES: tuple[ShFrame, ...] = ("canonical", "world")
-
-_TOUCHING = 1e-6
-"""Metres; a Gaussian nearer to the camera has no direction to be seen from, and is not drawn anyway."""
 
 
 class Avatar(nn.Module):
@@ -46,12 +45,15 @@ class Avatar(nn.Module):
         sh_frame: frame in which viewing directions are given to the harmonics: `canonical`, turned back with
             each Gaussian, so that colours turn with the limbs; or `world`, in which a light fixed in the
             world is better kept.
+        key_light: by which colours change as surfaces turn, `[3]`, see `shading.brightness`; given, not learned.
         gaussians: the Gaussians; one on each vertex of the body when None.
     """
 
     da_vertices: Tensor
     da_transforms: Tensor
     da_offsets: Tensor
+    da_normals: Tensor
+    key_light: Tensor | None
     skinning_offsets: Tensor
 
     def __init__(
@@ -64,6 +66,7 @@ class Avatar(nn.Module):
         learn_skinning: bool = True,
         skinning_every: int = 4,
         sh_frame: str = "canonical",
+        key_light: Tensor | None = None,
         gaussians: Gaussians | None = None,
     ) -> None:
         super().__init__()
@@ -81,13 +84,19 @@ class Avatar(nn.Module):
         self.register_buffer("da_vertices", body.da_vertices(), persistent=False)
         self.register_buffer("da_transforms", body.da_transforms(), persistent=False)
         self.register_buffer("da_offsets", body.pose_offsets(body.da_rotations()), persistent=False)
+        self.register_buffer("key_light", key_light)
+        if key_light is not None:
+            normals = vertex_normals(self.da_vertices.double().cpu().numpy(), body.faces.cpu().numpy())
+            self.register_buffer(
+                "da_normals", torch.from_numpy(normals).to(body.v_template), persistent=False
+            )
         # the network's last values in training; part of the state so that a resumed run goes on with the same
         # ones
         self.register_buffer("skinning_offsets", body.v_template.new_zeros(0, NUM_JOINTS))
         self.to(body.v_template)
         self._active_sh_degree = 0
         self._is_skinning_due = True
-        self._memos: dict[str, tuple[Hashable, Any]] = {}
+        self._memo = Memo()
 
     # -- settings that follow the training ------------------------------------------------------------------
 
@@ -153,7 +162,10 @@ class Avatar(nn.Module):
         """
         carried = self.deform(pose)
         turned = carried.linear if self.sh_frame == "canonical" else None
-        colors = self._colors(carried.means, camera_centre, turned)
+        colors = seen_colors(self.gaussians, self._active_sh_degree, carried.means, camera_centre, turned)
+        shade = self.brightness(carried)
+        if shade is not None:
+            colors = colors * shade[:, None]
         return Cloud(carried.means, carried.covariances, self.gaussians.opacities, colors)
 
     def deform(self, pose: Pose) -> Carried:
@@ -169,6 +181,16 @@ class Avatar(nn.Module):
         return carry(
             gaussians.means, gaussians.raw_quats, gaussians.scales, binding.rest_maps, offsets, posed_maps
         )
+
+    def brightness(self, carried: Carried) -> Tensor | None:
+        """Returns how bright the key light makes Gaussians in a pose, `[N]`; None under even light.
+
+        A Gaussian faces where the body does at its vertex. Poses are not mended by light: it is without gradient.
+        """
+        if self.key_light is None:
+            return None
+        own = self.da_normals[self.gaussians.vertex_index].T
+        return brightness((carried.linear.detach() * own).sum(dim=1), self.key_light)
 
     def _corrected(self, pose: Pose) -> tuple[Tensor, Tensor]:
         """Returns the joint rotations `[24, 3, 3]` and the translation `[3]` after all corrections."""
@@ -208,21 +230,8 @@ class Avatar(nn.Module):
             turn = means.new_tensor([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
             means, roots = means @ turn.T, turn @ roots
         turned = None if turn is None or self.sh_frame != "canonical" else turn.unsqueeze(-1)
-        colors = self._colors(means, camera_centre, turned)
+        colors = seen_colors(self.gaussians, self._active_sh_degree, means, camera_centre, turned)
         return Cloud(means, roots @ roots.transpose(1, 2), self.gaussians.opacities, colors)
-
-    def _colors(self, means: Tensor, camera_centre: Tensor, turned: Tensor | None) -> Tensor:
-        """Returns colours `[N, 3]`; `turned [3, 3, N]` is the turn that directions are taken back by."""
-        degree = self._active_sh_degree
-        if degree == 0:
-            return evaluate(self.gaussians.sh0, means.detach(), 0)  # the same from everywhere
-        directions = (means - camera_centre.to(means)).T
-        if turned is not None:
-            # the transpose undoes the turn; what a blend of turns stretches is taken out below
-            x, y, z = directions
-            directions = turned[0] * x + turned[1] * y + turned[2] * z
-        squared = directions.square().sum(dim=0).clamp(min=_TOUCHING**2)
-        return evaluate(self.gaussians.sh(degree), (directions * squared.rsqrt()).T, degree)
 
     def _offsets(self, betas: Tensor, rotations: Tensor) -> Tensor:
         """Returns the blend shapes of this shape and pose minus those of the canonical body, `[N, 3]`."""
@@ -235,15 +244,17 @@ class Avatar(nn.Module):
 
     def _binding(self) -> Binding:
         if self.skinning_field is None:
-            return self._memo(
+            return self._memo.get(
                 "fixed", self._rows_key(), lambda: bind(self._body_weights(), self.da_transforms)
             )
         if not torch.is_grad_enabled():
-            return self._memo("exact", (self._rows_key(), self._field_key()), lambda: self._bind_field()[0])
+            return self._memo.get(
+                "exact", (self._rows_key(), self._field_key()), lambda: self._bind_field()[0]
+            )
         is_kept = len(self.skinning_offsets) == self.gaussians.num_gaussians
         if self.training and not self._is_skinning_due and is_kept:
             key = (self._rows_key(), id(self.skinning_offsets), self.skinning_offsets._version)
-            return self._memo("kept", key, lambda: self._bind_offsets(self.skinning_offsets))
+            return self._memo.get("kept", key, lambda: self._bind_offsets(self.skinning_offsets))
         binding, offsets = self._bind_field()
         if self.training:
             self.skinning_offsets = offsets.detach()
@@ -260,7 +271,7 @@ class Avatar(nn.Module):
 
     def _body_weights(self) -> Tensor:
         weights = self.body.weights
-        return self._memo("body", self._rows_key(), lambda: weights[self.gaussians.vertex_index])
+        return self._memo.get("body", self._rows_key(), lambda: weights[self.gaussians.vertex_index])
 
     def _rows_key(self) -> Hashable:
         weights = self.body.weights
@@ -270,15 +281,6 @@ class Avatar(nn.Module):
         assert self.skinning_field is not None
         tensors = [self.gaussians.means, *self.skinning_field.parameters()]
         return tuple((id(tensor), tensor._version) for tensor in tensors)
-
-    def _memo(self, name: str, key: Hashable, make: Callable[[], Any]) -> Any:
-        """Returns what `make` gives, computed anew only when `key` has changed; never part of a graph."""
-        held = self._memos.get(name)
-        if held is None or held[0] != key:
-            # inference tensors could not be used in training afterwards
-            with torch.inference_mode(False), torch.no_grad():
-                held = self._memos[name] = (key, make())
-        return held[1]
 
     # -- state ----------------------------------------------------------------------------------------------
 
@@ -294,5 +296,5 @@ class Avatar(nn.Module):
         given = state_dict.get(prefix + "skinning_offsets")
         if given is not None and given.shape[1:] == self.skinning_offsets.shape[1:]:
             self.skinning_offsets = self.skinning_offsets.new_empty(given.shape)
-        self._memos.clear()
+        self._memo.clear()
         super()._load_from_state_dict(state_dict, prefix, *args)

@@ -38,6 +38,7 @@ def save_avatar(path: Path | str, avatar: Avatar) -> None:
         "sh_degree": avatar.gaussians.sh_degree,
         "active_sh_degree": avatar.active_sh_degree,
         "sh_frame": avatar.sh_frame,
+        "key_light": avatar.key_light is not None,
         "refine_pose": avatar.pose_refiner is not None,
         "pose_spline": _spline_description(avatar.pose_spline),
         "learn_skinning": avatar.skinning_field is not None,
@@ -117,6 +118,8 @@ def _empty_avatar(body: Body, description: dict[str, Any]) -> Avatar:
         learn_skinning=bool(description["learn_skinning"]),
         skinning_every=int(description["skinning_every"]),
         sh_frame=str(description["sh_frame"]),
+        # absent, as the spline is, from files that are older than it
+        key_light=start.new_zeros(3) if description.get("key_light") else None,
         gaussians=Gaussians(start, start, int(description["sh_degree"])),
     )
 

@@ -26,8 +26,8 @@ class Accumulated:
     """The colours of Gaussians as observed.
 
     Attributes:
-        colors: mean observed colour, `[N, 3]`, 0..1; where little was seen, that of what was seen nearby or at
-            the mirrored place of the body.
+        colors: mean observed colour, `[N, 3]`, 0..1, under even light; where little was seen, that of what was
+            seen nearby or at the mirrored place of the body.
         weights: visible pixels that each Gaussian made up, summed over all frames, `[N]`.
     """
 
@@ -58,6 +58,7 @@ def accumulate(avatar: Avatar, frames: Iterable[Frame], backend: str) -> Accumul
     for frame in frames:
         with torch.no_grad():
             cloud = avatar(frame.pose, frame.camera.centre)
+            shade = avatar.brightness(avatar.deform(frame.pose)) if avatar.key_light is not None else None
         colors = torch.zeros_like(cloud.colors).requires_grad_()
         camera = frame.camera
         rgb = rasterize(
@@ -68,7 +69,7 @@ def accumulate(avatar: Avatar, frames: Iterable[Frame], backend: str) -> Accumul
         (seen,) = torch.autograd.grad(rgb, colors, shown, retain_graph=True)
         (observed,) = torch.autograd.grad(rgb, colors, shown * frame.rgb.to(rgb))
         weights += seen[:, 0]
-        sums += observed
+        sums += observed if shade is None else observed / shade[:, None]
     colors = sums / weights.clamp(min=1e-6)[:, None]
     return Accumulated(_with_neighbours(colors, weights, means), weights)
 

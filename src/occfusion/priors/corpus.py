@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from occfusion.geometry.normals import vertex_normals
 from occfusion.human.body import Body, embedded_body
 from occfusion.priors.bodyview import project, view_body
 from occfusion.priors.crop import Square
@@ -24,7 +25,6 @@ from occfusion.synth.fullbody import (
     load_full_body,
     load_model_body,
     skin,
-    vertex_normals,
 )
 from occfusion.synth.motion import make_take
 from occfusion.synth.rotations import Floats, matrix_from_axis_angle

@@ -160,6 +160,7 @@ class OptimSettings(AvatarSettings):
         mask_hidden: weight of the mask term on pixels that are neither seen nor background, 0..1; the paper: 1.
         gaussians: at the start, at least (`Gaussians.on_body`); 0: one on each vertex of the body.
         sh_frame: see `Avatar`.
+        key_light: estimate a lamp from the video, by which colours change as surfaces turn; the paper has none.
         refine_pose: GauHuman's network of pose corrections.
         pose_knots: training frames from one knot to the next of the corrections frame by frame; 0: none.
         learn_skinning: GauHuman's network of skinning weights.
@@ -175,6 +176,7 @@ class OptimSettings(AvatarSettings):
     lambda_lpips: float = 1e3
     gaussians: int = 20_000
     sh_frame: str = "canonical"
+    key_light: bool = False
     refine_pose: bool = True
     pose_knots: int = 4
     learn_skinning: bool = True

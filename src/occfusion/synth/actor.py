@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from occfusion.geometry.normals import vertex_normals
 from occfusion.synth.cloth import swing, wrinkles
 from occfusion.synth.dress import dress
-from occfusion.synth.fullbody import bone_transforms, load_full_body, skin, vertex_normals
+from occfusion.synth.fullbody import bone_transforms, load_full_body, skin
 from occfusion.synth.motion import make_take
 from occfusion.synth.rotations import Floats
 from occfusion.synth.spec import SceneSpec

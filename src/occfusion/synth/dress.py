@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.geometry.normals import vertex_normals
 from occfusion.synth import regions
 from occfusion.synth.atlas import load_atlas
-from occfusion.synth.fullbody import HAIR, LEFT_EYE, RIGHT_EYE, SKIN, SKIRT, load_full_body, vertex_normals
+from occfusion.synth.fullbody import HAIR, LEFT_EYE, RIGHT_EYE, SKIN, SKIRT, load_full_body
 from occfusion.synth.noise import value_noise
 from occfusion.synth.rotations import Floats
 from occfusion.synth.subject import Subject

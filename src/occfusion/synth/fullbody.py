@@ -171,14 +171,3 @@ def skin(points: Floats, weights: Floats, transforms: Floats) -> Floats:
     blended = weights @ transforms[:, :3].reshape(len(transforms), 12)
     blended = blended.reshape(-1, 3, 4)
     return np.einsum("vij,vj->vi", blended[:, :, :3], points) + blended[:, :, 3]
-
-
-def vertex_normals(points: Floats, faces: Ints) -> Floats:
-    """Returns unit normals at the vertices, `[V, 3]`: means of the face normals by area."""
-    a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
-    normal = np.cross(b - a, c - a)
-    out = np.zeros_like(points)
-    for axis in range(3):
-        for corner in range(3):
-            out[:, axis] += np.bincount(faces[:, corner], normal[:, axis], minlength=len(points))
-    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)

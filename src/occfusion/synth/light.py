@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.zbuffer import rasterize_mesh
-from occfusion.synth.fullbody import vertex_normals
 from occfusion.synth.rotations import Floats
 
 AMBIENT = {"soft": 0.78, "directional": 0.45}  # the key light gives the rest of 1

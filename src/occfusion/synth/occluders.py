@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.synth.fullbody import vertex_normals
+from occfusion.geometry.normals import vertex_normals
 from occfusion.synth.rotations import Floats
 from occfusion.synth.shading import Mesh
 from occfusion.synth.studio import StudioCamera
