@@ -217,9 +217,12 @@ def hidden_mask_decision(stage: str, settings: Settings, moments: Sequence[Momen
 def _hidden_mask_weights(settings: Settings, moments: Sequence[Moment] | None) -> tuple[float, float]:
     """Returns those of optimisation and refinement; the whole system begins with the latter's (docs/refinement.md).
 
-    Complete masks are made from the poses as given: where these fit, masks are nearly right and count for more.
+    With `plan=full` hidden pixels count fully in the refinement, as in the paper. Complete masks are made from the
+    poses as given: where these fit, masks are nearly right and count for more.
     """
     own, refine = settings.optim.mask_hidden, settings.refine
+    if settings.plan == "full":
+        return own, 1.0
     refined = refine.mask_hidden_fitting if _poses_fit(moments) else refine.mask_hidden
     is_whole = _may_leave_out(settings) and "refine" in settings.variant.stages
     return (min(own, refined) if is_whole else own), refined
@@ -287,4 +290,6 @@ def _occluded(moments: Sequence[Moment]) -> int:
 
 
 def _hidden_reason(moments: Sequence[Moment]) -> str:
-    return f"{_occluded(moments)} of {len(moments)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
+    hiding = sum(moment.evidence.hidden_share > HIDDEN_SHARE for moment in moments)
+    reason = f"{hiding} of {len(moments)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
+    return reason if _occluded(moments) <= hiding else f"{reason}; plan=full takes all of them for occluded"

@@ -6,9 +6,10 @@ import pytest
 from app.test_config import settings_of
 from occfusion import plan as planning
 from occfusion.config import Settings, optim_hash
-from occfusion.needs import as_planned, box_reason
+from occfusion.needs import as_planned, box_reason, with_everything
 from occfusion.priors.consistency import Motion
 from occfusion.priors.evidence import HIDDEN_SHARE, Evidence
+from occfusion.priors.key_light import KeyLight
 from occfusion.priors.moments import Moment
 
 SUMMARY = {"occluded_frames": 0, "frames": 12}
@@ -92,9 +93,11 @@ def test_distillation_where_masks_are_complete(
 def test_what_is_left_out_does_not_keep_results_apart() -> None:
     """`E` optimises what `D` does if asked for everything, without distillation what `B` does: it may take that."""
     moments = frames(*[0.5] * 12)
-    whole, distilled = (as_planned(settings_of(f"variant={v}", "plan=full"), moments) for v in "ED")
+    even, lit = ("optim.key_light=false", "optim.key_light=true")
+    whole, distilled = (as_planned(settings_of(f"variant={v}", "plan=full", even), moments) for v in "ED")
     assert optim_hash(whole) == optim_hash(distilled)
-    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false")
+    assert optim_hash(whole) != optim_hash(as_planned(settings_of("variant=E", "plan=full", lit), moments))
+    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false", even)
     needed, masks = (as_planned(settings_of(f"variant={v}", *alike), moments) for v in "EB")
     assert optim_hash(needed) == optim_hash(masks)
     assert optim_hash(needed) != optim_hash(settings_of("variant=E"))
@@ -178,6 +181,40 @@ def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
         assert (planned.optim.mask_hidden, planned.refine.mask_hidden) == weights
     mended = frames(*[0.5] * 8, *[0.02] * 12)
     assert as_planned(settings_of(), mended).refine.mask_hidden == 0.0
+    assert as_planned(settings_of("plan=full"), mended).refine.mask_hidden == 1.0
     weighed = settings_of("refine.mask_hidden=0.5", "optim.mask_hidden=0.25")
     assert as_planned(weighed, occluded).optim.mask_hidden == 0.25
     assert not used(settings_of("variant=B"), frames(*[0.0] * 12))["full mask term on hidden pixels"]
+
+
+def test_a_full_plan_says_what_the_frames_hide_and_that_it_takes_all_for_occluded() -> None:
+    moments = with_everything(frames(*[0.0] * 9, *[0.5] * 3))
+    plan = planning.make_plan(settings_of("plan=full"), SUMMARY, "torch", moments)
+    (reason,) = (d.reason for d in plan if d.part == "complete masks")
+    assert reason.startswith("3 of 12 training frames hide more than 3%")
+    assert "takes all of them" in reason
+
+
+VECTOR = np.array([0.1, -0.2, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "found", "lit"),
+    [
+        ((), KeyLight(VECTOR, 0.04, 0.02, 5.0), True),
+        ((), KeyLight(VECTOR, 0.04, 0.038, 5.0), False),  # hardly anything is explained
+        ((), KeyLight(VECTOR, 0.04, 0.02, 500.0), False),  # it may be anywhere
+        ((), None, False),
+        (("plan=full",), KeyLight(VECTOR, 0.04, 0.038, 5.0), True),
+        (("plan=full",), KeyLight(VECTOR, 0.04, 0.02, 500.0), False),
+        (("variant=D",), None, False),
+        (("variant=D", "optim.key_light=true"), KeyLight(VECTOR, 0.04, 0.02, 5.0), True),
+    ],
+)
+def test_a_lamp_is_used_where_it_explains_what_changes(
+    overrides: tuple[str, ...], found: KeyLight | None, lit: bool
+) -> None:
+    plan = planning.make_plan(settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), found)
+    (decision,) = (d for d in plan if d.part == "key light")
+    assert decision.used == lit
+    assert found is None or f"{found.explained:.0%}" in decision.reason

@@ -71,6 +71,34 @@ def test_unseen_gaussians_take_the_colours_of_neighbours(avatar: Avatar, make_fr
     assert_close(found.colors, torch.tensor([0.8, 0.1, 0.2]).expand_as(found.colors), rtol=0, atol=2e-3)
 
 
+def test_colours_are_those_under_even_light(avatar: Avatar, make_frame: MakeFrame) -> None:
+    """What was observed of a Gaussian is divided by how bright the lamp makes it in that frame."""
+    lit = Avatar(
+        avatar.body, refine_pose=False, learn_skinning=False, sh_degree=0, gaussians=avatar.gaussians,
+        key_light=torch.tensor([0.5, 0.3, -0.8]),
+    )  # fmt: skip
+    frames = [make_frame(0), make_frame(1, left_half())]
+    weights, sums = 0.0, 0.0
+    for frame in frames:
+        weight, observed = one_by_one(lit, frame)
+        with torch.no_grad():
+            bright = (
+                lit(frame.pose, frame.camera.centre).colors / avatar(frame.pose, frame.camera.centre).colors
+            )
+        weights, sums = weights + weight, sums + observed / bright
+    found, even = accumulate(lit, frames, "torch"), accumulate(avatar, frames, "torch")
+    known = (weights > ENOUGH) & sums.isfinite().all(
+        dim=1
+    )  # colours below zero are cut off, and tell no brightness
+    share = (weights / (weights + ENOUGH))[known, None]
+    own, away = (sums / weights[:, None])[known], (found.colors - even.colors)[known].abs()
+    assert away.max() > 0.05, "the lamp makes a difference here"
+    assert known.any()
+    assert (
+        (found.colors[known] - own).abs() <= 0.5 * (1.0 - share) + 1e-4
+    ).all()  # the rest is the neighbours' share
+
+
 def test_the_avatar_is_not_changed_and_grows_no_gradient(avatar: Avatar, make_frame: MakeFrame) -> None:
     before = {name: value.clone() for name, value in avatar.state_dict().items() if torch.is_tensor(value)}
     accumulate(avatar, [make_frame(0)], "torch")

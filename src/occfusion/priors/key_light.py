@@ -36,7 +36,9 @@ SIGHTINGS = 5
 POINTS = 200
 """Fewer seen that often tell nothing of light."""
 
-STEPS, DAMPING, SHORT = 40, 1e-3, 1e-4
+STEPS, EVEN_STEPS = 40, 5
+"""Rounds of weighing, at most, with a lamp to find and without."""
+DAMPING, SHORT = 1e-3, 1e-4
 LONGEST_STEP = 0.2
 STRONGEST = 5.0
 """Times the even light; a lamp that is stronger is not told from any other, all else being dark."""
@@ -135,18 +137,22 @@ def fit_key_light(seen: Sightings) -> KeyLight | None:
     points = np.unique(seen.points, return_inverse=True)[1]
     if not len(points) or points.max() + 1 < POINTS:
         return None
-    fit = _Fit(points, seen.colors, seen.normals)
-    dark = np.zeros(3)
-    before = float(np.median(fit.differences(dark)))
-    if before <= 0.0:
+    fit, dark = _Fit(points, seen.colors, seen.normals), np.zeros(3)
+    usual = float(np.median(fit.differences(dark)))
+    if usual <= 0.0:
         return None
-    fit.scale = CUT * before
+    fit.scale = CUT * usual
+    for _ in range(EVEN_STEPS):
+        fit.weigh(dark)
+    before, cost_before = float(np.median(fit.differences(dark))), fit.cost(dark)
     ends = [end for start in np.vstack([np.eye(3), -np.eye(3)]) if (end := fit.descend(LONGEST_STEP * start))]
     if not ends:
         return None
     vector, cost, condition = min(ends, key=lambda end: end[1])
-    if cost >= fit.cost(dark):
+    if cost >= cost_before:
         return None
+    for _ in range(EVEN_STEPS):
+        fit.weigh(vector)
     return KeyLight(vector, before, float(np.median(fit.differences(vector))), condition)
 
 
@@ -168,13 +174,18 @@ class _Fit:
         squared = (self.differences(vector) / self.scale) ** 2
         return float((squared / (1.0 + squared)).mean())
 
+    def weigh(self, vector: Floats) -> None:
+        """Has each sighting count by how well it fits under a lamp."""
+        squared = (self.differences(vector) / self.scale) ** 2
+        self._weights = 1.0 / (1.0 + squared) ** 2
+
     def descend(self, vector: Floats) -> tuple[Floats, float, float] | None:
         """Returns where Gauss-Newton ends from a start, its cost and condition; None if it leads nowhere."""
         self._weights = np.ones(len(self.points))
         hessian = np.eye(3)
         for _ in range(STEPS):
+            self.weigh(vector)
             residual, own, light = self._residual(vector, self._weights)
-            self._weights = 1.0 / (1.0 + (np.linalg.norm(residual, axis=1) / self.scale) ** 2) ** 2
             lit = self.normals * (self.normals @ vector > 0.0)[:, None]
             # what the points' own colours take over of a change of the lamp is no error
             taken = self._sums(self._weights * light, lit) / self._norm(self._weights, light)[:, None]
