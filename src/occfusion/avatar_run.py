@@ -118,6 +118,8 @@ def _run_stage(run_: Run, name: str) -> None:
         settings.evaluation.curve_first_second,
     )
     planned = as_planned(settings, run_.moments)
+    # a lamp that was not found is none
+    planned = replace(planned, optim=replace(planned.optim, key_light=run_.avatar.key_light is not None))
     identity = {"settings": optim_hash(planned), "data": run_.data_hash, "curve": curve}
     shared = shared_folder(run_.folder, settings.shared_dir, name, identity)
     with sole_maker(shared, name):

@@ -69,9 +69,9 @@ def test_the_whole_system_leaves_it_out_where_masks_are_complete(
     """Then `E` goes on from the very avatar of `B`; `plan=full`, or a frame that shows little, brings it back.
 
     As long as both its stages have the terms of `B`: neither deferred perceptual ones nor masks that count less, nor
-    Gaussians that are left to the refinement.
+    Gaussians that are left to the refinement, nor a lamp.
     """
-    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false")
+    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false", "optim.key_light=false")
     refine = ("variant=E", SHORT, "refine.steps=1", "refine.source=coarse", *alike)
     train("variant=B", SHORT, folder="b")
     with monkeypatch.context() as patch:

@@ -100,7 +100,8 @@ def test_the_optimisation_of_d_serves_e(train: Train, monkeypatch: pytest.Monkey
         "optim.sds.lambda_can=0",
         "refine.mask_hidden=1",
         "refine.densify=false",
-    )  # weights and Gaussians at the start alike, whatever they are
+        "optim.key_light=false",
+    )  # weights, light and Gaussians at the start alike, whatever they are
     d, first = train("variant=D", *common, folder="d")
     trained: list[str] = []
     original = avatar_run._train_stage
