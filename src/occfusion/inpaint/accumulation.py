@@ -57,13 +57,13 @@ def accumulate(avatar: Avatar, frames: Iterable[Frame], backend: str) -> Accumul
     weights, sums = means.new_zeros(count), means.new_zeros(count, 3)
     for frame in frames:
         with torch.no_grad():
-            cloud = avatar(frame.pose, frame.camera.centre)
-            shade = avatar.brightness(avatar.deform(frame.pose)) if avatar.key_light is not None else None
-        colors = torch.zeros_like(cloud.colors).requires_grad_()
+            carried = avatar.deform(frame.pose)
+            shade, opacities = avatar.brightness(carried), avatar.gaussians.opacities
+        colors = torch.zeros_like(carried.means).requires_grad_()
         camera = frame.camera
         rgb = rasterize(
-            cloud.means, None, None, cloud.opacities, colors, camera.viewmat, camera.K, camera.width,
-            camera.height, covariances=cloud.covariances, backend=backend,
+            carried.means, None, None, opacities, colors, camera.viewmat, camera.K, camera.width, camera.height,
+            covariances=carried.covariances, backend=backend,
         ).rgb  # fmt: skip
         shown = frame.visible_mask[..., None].to(rgb).expand_as(rgb)
         (seen,) = torch.autograd.grad(rgb, colors, shown, retain_graph=True)
