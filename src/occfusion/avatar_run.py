@@ -22,7 +22,7 @@ from occfusion.needs import as_planned
 from occfusion.priors.registry import make_score_prior
 from occfusion.processes import is_helper, tell_helpers
 from occfusion.recipes.appearance import Coarse, CoarseScene
-from occfusion.refine_run import file_digest, make_references
+from occfusion.refine_run import file_digest, make_references, own_outlines
 from occfusion.run_objects import Run, compose_run, device_of
 from occfusion.sharing import offer, shared_folder, sole_maker, take
 from occfusion.splat import warm_up
@@ -36,7 +36,7 @@ from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.settings import AvatarSettings, SdsSettings
-from occfusion.stages.targets import Backgrounds
+from occfusion.stages.targets import Doubts
 
 WARM_UP_SAID = 0.05
 """Seconds from which on the user is told of the rasteriser's warming up."""
@@ -169,18 +169,19 @@ def _optim_stage(run_: Run) -> tuple[AvatarStage, float]:
         perceptual=run_.training_metric if settings.optim.lambda_lpips else None,
         densifier=_make_densifier(settings.optim, settings.optim.lambda_rgb),
         distiller=_make_distiller(run_),
-        backgrounds=_backgrounds(run_),
+        doubts=_doubts(run_),
         backend=run_.backend,
         seed=settings.seed,
     )
     return stage, 0.0
 
 
-def _backgrounds(run_: Run) -> Backgrounds:
-    """Returns what of the occluded frames is background, where the video was asked."""
-    return {
-        moment.frame: moment.evidence.background for moment in run_.moments or () if moment.evidence.occluded
-    }
+def _doubts(run_: Run) -> Doubts:
+    """Returns where complete masks may be wrong, where the video was asked."""
+    found = {moment.frame: moment.evidence for moment in run_.moments or ()}
+    hidden = {frame: own.maybe_hidden for frame, own in found.items() if own.maybe_hidden.any()}
+    unasked = {frame: mask & found[frame].background for frame, mask in hidden.items()}
+    return Doubts(hidden, unasked)
 
 
 def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
@@ -199,12 +200,17 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
         run_.backend,
         device_of(settings),
     )
+    doubts = _doubts(run_)
+    frames = (run_.data.train_frame(k, truth=False) for k in range(len(run_.moments)))
+    doubtful = (frame for frame in frames if frame.index in doubts.hidden)
+    outlines = own_outlines(run_.avatar, doubtful, run_.backend) if refine.mask_target == "outline" else {}
     run_.avatar.gaussians.allocate_bands(planning.refined_sh_degree(settings))
     stage = RefineStage(
         run_.avatar,
         refine,
         references,
-        _backgrounds(run_),
+        doubts,
+        outlines,
         perceptual=run_.training_metric if refine.lambda_lpips else None,
         densifier=_make_densifier(refine, refine.lambda_rgb),
         backend=run_.backend,

@@ -10,7 +10,7 @@ import numpy as np
 from occfusion.config import STAGES, Settings, stages_to_run
 from occfusion.priors.evidence import HIDDEN_SHARE
 from occfusion.priors.key_light import KeyLight
-from occfusion.priors.moments import Moment
+from occfusion.priors.moments import FITTING, Moment, misfit_of, poses_fit
 from occfusion.stages.avatar import BOX_PADDING
 from occfusion.stages.settings import AvatarSettings
 
@@ -24,11 +24,6 @@ MOSTLY_HIDDEN = 0.9
 BASELINE = "gauhuman"
 """The variant that is kept as it was published."""
 
-FITTING = 1e-3
-"""Of the body: where less lies outside the masks of whole people, poses need no mending. Embedded scenes with exact
-poses have 4e-5 at most, those with an estimator's errors and ragged masks 2.6e-2 at least (docs/leaving_out.md)."""
-FRAMES_TO_JUDGE = 10
-"""Fewer frames of a whole person say too little about how well poses fit."""
 
 LIT = 0.1
 """Of the differences between sightings of a point of the body: a lamp that explains less is left out."""
@@ -108,7 +103,7 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
         ),
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
-    measured = _misfit(moments)
+    measured = misfit_of(moments)
     if not may_leave_out_networks(settings) or measured is None:
         return decisions
     misfit, count = measured
@@ -184,7 +179,7 @@ def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings
     optim_weight, refine_weight = _hidden_mask_weights(settings, moments)
     gaussians = settings.optim.gaussians if start_decision(settings).used else 0
     optim = replace(optim, mask_hidden=optim_weight, gaussians=gaussians)
-    refine = replace(settings.refine, mask_hidden=refine_weight)
+    refine = replace(settings.refine, mask_hidden=refine_weight, mask_target=_mask_target(settings, moments))
     if is_perceptual_term_deferred(settings):
         optim = replace(optim, lambda_lpips=0.0)
     return replace(settings, optim=optim, refine=refine)
@@ -206,12 +201,15 @@ def hidden_mask_decision(stage: str, settings: Settings, moments: Sequence[Momen
     part = "full mask term on hidden pixels" + ("" if stage == "optim" else f" in {stage}")
     reason = f"it counts {weight:g} there"
     if stage == "optim" and weight < settings.optim.mask_hidden:
-        reason += ", as in the refinement that follows"
-    if "refine" in settings.variant.stages and _poses_fit(moments):
+        reason += ": other frames tell better"
+    if "refine" in settings.variant.stages and poses_fit(moments):
         reason += "; poses fit as given, so complete masks do"
+    is_replaced = stage == "refine" and _mask_target(settings, moments) == "outline"
+    if is_replaced:
+        reason = "poses fit as given: the avatar's own outline takes the place of complete masks there"
     if moments is not None and not _occluded(moments):
         return Decision(part, False, _hidden_reason(moments))
-    return Decision(part, weight == 1.0, reason)
+    return Decision(part, weight == 1.0 and not is_replaced, reason)
 
 
 def _hidden_mask_weights(settings: Settings, moments: Sequence[Moment] | None) -> tuple[float, float]:
@@ -223,25 +221,16 @@ def _hidden_mask_weights(settings: Settings, moments: Sequence[Moment] | None) -
     own, refine = settings.optim.mask_hidden, settings.refine
     if settings.plan == "full":
         return own, 1.0
-    refined = refine.mask_hidden_fitting if _poses_fit(moments) else refine.mask_hidden
+    doubted = refine.mask_hidden_fitting if poses_fit(moments) else refine.mask_hidden
     is_whole = _may_leave_out(settings) and "refine" in settings.variant.stages
-    return (min(own, refined) if is_whole else own), refined
+    refined = 1.0 if _mask_target(settings, moments) == "outline" else doubted
+    return (min(own, doubted) if is_whole else own), refined
 
 
-def _misfit(moments: Sequence[Moment] | None) -> tuple[float, int] | None:
-    """Returns how much of the body lies outside the mask, and in how many frames; None where these are too few.
-
-    A share, the median of the frames that show a whole person.
-    """
-    whole = [moment for moment in moments or () if not moment.evidence.occluded]
-    if len(whole) < FRAMES_TO_JUDGE:
-        return None
-    return float(np.median([moment.evidence.outside_share for moment in whole])), len(whole)
-
-
-def _poses_fit(moments: Sequence[Moment] | None) -> bool:
-    misfit = _misfit(moments)
-    return misfit is not None and misfit[0] < FITTING
+def _mask_target(settings: Settings, moments: Sequence[Moment] | None) -> str:
+    """Returns what the refinement holds hidden pixels to: an outline only where no poses are mended, which move it."""
+    may_be_own = settings.plan == "needed" and poses_fit(moments)
+    return settings.refine.mask_target if may_be_own else "complete"
 
 
 def box_reason(moments: Sequence[Moment] | None) -> str:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from occfusion.config import Settings
 from occfusion.data.module import HumanDataModule
@@ -18,6 +20,7 @@ from occfusion.inpaint.partial import Inpainter
 from occfusion.inpaint.registry import make_inpainter
 from occfusion.inpaint.sources import CoarsePictures, TruthPictures
 from occfusion.priors.moments import Moment
+from occfusion.render import outline
 from occfusion.stages.framewise import predict_frames
 from occfusion.stages.inpaint import InpaintStage
 from occfusion.stages.interruption import Interrupted
@@ -76,6 +79,13 @@ def make_references(
     seconds = time.monotonic() - started
     print(f"refine: {len(wanted)} of {len(moments)} frames inpainted in {seconds:.1f} s; {stage.counted}")
     return stage.references, seconds
+
+
+@torch.no_grad()
+def own_outlines(avatar: Avatar, frames: Iterable[Frame], backend: str) -> dict[int, NDArray[np.bool_]]:
+    """Returns what an avatar covers by more than half in each frame, by its number, bool `[H, W]`."""
+    avatar.eval()
+    return {frame.index: outline(avatar, frame, backend).cpu().numpy() for frame in frames}
 
 
 def file_digest(path: Path) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from occfusion.human.avatar import Avatar
-from occfusion.splat import rasterize
+from occfusion.splat import Limits, rasterize
 from occfusion.types import Camera, Cloud, Frame, Rendering
 
 
@@ -16,6 +16,7 @@ def render_cloud(
     return rasterize(
         cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,
         camera.width, camera.height, background=background, covariances=cloud.covariances, backend=backend,
+        limits=Limits(dilation=cloud.dilation),
     )  # fmt: skip
 
 
@@ -25,7 +26,19 @@ def canonical_alpha(avatar: Avatar, camera: Camera, backend: str) -> torch.Tenso
     return rasterize(
         cloud.means, None, None, cloud.opacities, torch.zeros_like(cloud.means), camera.viewmat, camera.K,
         camera.width, camera.height, covariances=cloud.covariances, backend=backend,
+        limits=Limits(dilation=cloud.dilation),
     ).alpha  # fmt: skip
+
+
+@torch.no_grad()
+def outline(avatar: Avatar, frame: Frame, backend: str) -> torch.Tensor:
+    """Returns what an avatar covers by more than half in a frame's pose and camera, bool `[H, W]`; colours left out."""
+    carried, camera = avatar.deform(frame.pose), frame.camera
+    return rasterize(
+        carried.means, None, None, avatar.gaussians.opacities, torch.zeros_like(carried.means), camera.viewmat,
+        camera.K, camera.width, camera.height, covariances=carried.covariances, backend=backend,
+        limits=Limits(dilation=avatar.dilation),
+    ).alpha > 0.5  # fmt: skip
 
 
 @torch.inference_mode()

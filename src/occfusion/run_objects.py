@@ -118,7 +118,8 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         skinning_every=optim.skinning_every,
         sh_frame=optim.sh_frame,
         key_light=_vector(key_light, body) if "key light" not in planning.left_out(decisions) else None,
-        gaussians=Gaussians.on_body(body, sh_degree, optim.gaussians),
+        dilation=optim.dilation,
+        gaussians=Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness),
     )
     return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"], stages)
 

@@ -130,12 +130,14 @@ class Cloud:
         covariances: `[N, 3, 3]`, square metres.
         opacities: `[N]`, 0..1.
         colors: `[N, 3]`, 0..1, already evaluated for the viewing direction.
+        dilation: of the pictures that they were learned from, square pixels (`splat.Limits`).
     """
 
     means: Tensor
     covariances: Tensor
     opacities: Tensor
     colors: Tensor
+    dilation: float = 0.3
 
 
 @dataclass(frozen=True)

@@ -101,6 +101,9 @@ def test_the_optimisation_of_d_serves_e(train: Train, monkeypatch: pytest.Monkey
         "refine.mask_hidden=1",
         "refine.densify=false",
         "optim.key_light=false",
+        "optim.dilation=0.3",
+        "optim.thickness=0",
+        "optim.rates.scales=0.05",
     )  # weights, light and Gaussians at the start alike, whatever they are
     d, first = train("variant=D", *common, folder="d")
     trained: list[str] = []

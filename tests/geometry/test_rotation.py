@@ -164,3 +164,18 @@ def test_leading_dimensions(lead):
     assert rotation.matrix_to_axis_angle(matrices).shape == (*lead, 3)
     if lead == (2, 3):
         assert torch.equal(matrices[1, 2], rotation.quaternion_to_matrix(quats[1, 2]))
+
+
+@pytest.mark.stiff
+@pytest.mark.parametrize("tilt", [0.0, 1e-9, 1e-4, 1.0, math.pi - 1e-4, math.pi - 1e-9, math.pi])
+def test_z_axis_is_turned_the_shortest_way(tilt):
+    headings = torch.linspace(0.0, 6.0, 7, dtype=torch.float64)
+    sine = math.sin(tilt)
+    directions = torch.stack(
+        [sine * headings.cos(), sine * headings.sin(), torch.full_like(headings, math.cos(tilt))], dim=1
+    )
+    quats = rotation.z_axis_to(directions)
+    matrices = rotation.quaternion_to_matrix(quats)
+    # next to -z the axis of the half turn is a choice
+    assert (matrices[:, :, 2] - directions).abs().max() < (2e-3 if math.pi - 2e-3 < tilt < math.pi else 1e-12)
+    assert (rotation.matrix_to_axis_angle(matrices).norm(dim=1) - tilt).abs().max() < 2e-3

@@ -40,6 +40,7 @@ def make(body, **options):
         {},
         {"refine_pose": False, "learn_skinning": False, "sh_frame": "world"},
         {"key_light": torch.tensor([0.2, -0.3, 0.1])},
+        {"dilation": 0.1},
     ],
 )
 def test_round_trip_gives_the_same_cloud(tmp_path, body, options):
@@ -52,6 +53,7 @@ def test_round_trip_gives_the_same_cloud(tmp_path, body, options):
     for name in ("means", "covariances", "opacities", "colors"):
         assert torch.equal(getattr(a, name), getattr(b, name))
     assert (loaded.sh_frame, loaded.active_sh_degree) == (avatar.sh_frame, 1)
+    assert a.dilation == b.dilation == options.get("dilation", 0.3)
     assert (loaded.key_light is None) == (avatar.key_light is None)
     assert not loaded.training
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
+from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.human.deform import PoseRefiner, SkinningField, encode_positions, skinning_weights
 from occfusion.human.gaussians import MAX_SCALE, MIN_SCALE, PARAMETERS, Gaussians, means_rate
@@ -175,3 +176,16 @@ def test_no_more_than_a_face_each(body):
     assert every.num_gaussians == len(body.v_template) + len(body.faces)
     assert every.scales.isfinite().all() and (every.scales > 0).all()
     assert Gaussians.on_body(body, 0, 5).num_gaussians == len(body.v_template)
+
+
+def test_flat_gaussians_lie_on_the_body(body):
+    thickness = 0.002
+    flat, plain = Gaussians.on_body(body, 0, thickness=thickness), Gaussians.on_body(body, 0)
+    assert torch.equal(flat.means, plain.means)
+    roots = flat.roots().detach().double()
+    normals = torch.from_numpy(vertex_normals(body.da_vertices().double().numpy(), body.faces.numpy()))
+    along = torch.einsum("nij,ni->nj", roots, normals[flat.vertex_index].double()).norm(dim=1)
+    want = plain.scales[:, 2].clamp(max=thickness).double()
+    on_a_face = normals[flat.vertex_index].norm(dim=1) > 0.5  # a vertex of no face has no normal
+    assert (along / want - 1)[on_a_face].abs().max() < 1e-3
+    assert torch.equal(flat.scales[:, :2], plain.scales[:, :2])

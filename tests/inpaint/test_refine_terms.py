@@ -19,14 +19,16 @@ from occfusion.inpaint.partial import KNOWN
 from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.settings import RefineSettings
+from occfusion.stages.targets import Doubts, Masks
 from occfusion.types import Frame, Pose, Rendering
 
 SIZE = 32
 BOX = (0, 0, SIZE, SIZE)
-SEEN, PAINTED, ELSEWHERE = (
+SEEN, PAINTED, ELSEWHERE, UNASKED = (
     (slice(4, 28), slice(4, 14)),
     (slice(4, 28), slice(14, 24)),
     (slice(4, 28), slice(24, 30)),
+    (slice(28, 30), slice(4, 30)),
 )
 
 
@@ -58,11 +60,12 @@ def references(tmp_path: Path) -> References:
     return References(tmp_path, frozenset({7}))
 
 
-def stage_of(references: References, **settings: Any) -> RefineStage:
-    """A stage that takes `ELSEWHERE` of frame 7 for background, and whose other settings cost nothing."""
+def stage_of(references: References, outlines: Masks | None = None, **settings: Any) -> RefineStage:
+    """A stage that doubts all of frame 7 but what is seen and `ELSEWHERE`, and whose other settings cost nothing."""
     chosen = RefineSettings(lambda_lpips=0.0, densify=False, **settings)
+    doubts = Doubts({7: (~mask_of(SEEN) & ~mask_of(ELSEWHERE)).numpy()}, {7: mask_of(UNASKED).numpy()})
     return RefineStage(
-        Avatar(embedded_body()), chosen, references, {7: mask_of(ELSEWHERE).numpy()}, perceptual=None,
+        Avatar(embedded_body()), chosen, references, doubts, outlines or {}, perceptual=None,
         densifier=None, backend="torch", seed=0, steps_before=0,
     )  # fmt: skip
 
@@ -115,6 +118,8 @@ def test_mask_term_counts_what_is_neither_seen_nor_background_as_asked(
         (found,) = torch.autograd.grad(term, alpha)
         target = (mask_of(SEEN) | mask_of(PAINTED)).float()
         weights = torch.full((SIZE, SIZE), weight)
+        if weight < 1.0:  # no prior was asked about that, so a complete mask says nothing there
+            weights[UNASKED] = 0.0
         weights[SEEN] = weights[ELSEWHERE] = 1.0
         if gen_pixels == "unseen":  # no frame shows what was painted: there the complete mask is all there is
             weights[PAINTED] = 1.0
@@ -124,6 +129,26 @@ def test_mask_term_counts_what_is_neither_seen_nor_background_as_asked(
         )
         assert float(term) == pytest.approx(wanted / SIZE**2, rel=1e-5)
         torch.testing.assert_close(found, 2 * weights * (alpha - target).detach() / SIZE**2)
+
+
+@pytest.mark.parametrize("gen_pixels", ["unseen", "hidden"])
+def test_mask_term_holds_what_is_in_doubt_to_an_outline(
+    frame: Frame, references: References, gen_pixels: str
+) -> None:
+    outline = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(1)) > 0.5
+    alpha = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(0))
+    rendering = Rendering(torch.zeros(SIZE, SIZE, 3), alpha, torch.zeros(SIZE, SIZE), torch.zeros(0, 2))
+    complete = mask_of(SEEN) | mask_of(PAINTED)
+    wanted = outline.clone()
+    wanted[SEEN], wanted[ELSEWHERE] = True, False
+    if gen_pixels == "unseen":
+        wanted[PAINTED] = True
+    for index, target in ((7, wanted), (8, complete)):  # nothing is in doubt in frame 8
+        other = dataclasses.replace(frame, index=index)
+        outlines = {7: outline.numpy(), 8: outline.numpy()}
+        stage = stage_of(references, outlines, mask_hidden=1.0, gen_pixels=gen_pixels)
+        term = stage.terms(other, rendering, BOX)["mask"]
+        assert float(term) == pytest.approx(float((alpha - target.float()).square().mean()), rel=1e-5)
 
 
 def test_unseen_is_what_the_video_shows_little_of() -> None:

@@ -33,6 +33,34 @@ def test_a_strip_is_found_and_what_lies_near_it_is_not_called_background() -> No
     assert found.background[50, 95]
     assert found.background[15, 70]
     assert not (found.background & seen).any()
+    assert not (found.maybe_hidden & seen).any()
+    assert found.maybe_hidden[50, 62] and not found.maybe_hidden[50, 95]
+
+
+def test_what_lies_between_hidden_parts_may_be_hidden() -> None:
+    body = np.zeros((SIZE, SIZE), bool)
+    body[10:40, 40:60] = body[44:74, 40:60] = True  # a skirt may fill the gap
+    body[40:44, 56:60] = True
+    seen = body.copy()
+    seen[:, :50] = False
+    found = gather_evidence([body], [seen])[0]
+    assert found.maybe_hidden[42, 42:50].all()
+    assert not (found.maybe_hidden & seen).any()
+    assert not found.maybe_hidden[:, 70:].any()
+
+
+def test_a_sliver_too_thin_for_the_core_may_be_hidden_all_the_same() -> None:
+    body = np.zeros((400, 400), bool)
+    body[40:360, 100:116] = True
+    seen = body.copy()
+    seen[:, 110:] = False
+    found = gather_evidence([body], [seen])[0]
+    assert not found.hidden.any() and found.background[100, 113]
+    assert found.maybe_hidden[50:350, 110:116].all()
+
+
+def test_nothing_of_a_whole_person_may_be_hidden() -> None:
+    assert not gather_evidence([person()], [person()])[0].maybe_hidden.any()
 
 
 @pytest.mark.parametrize("shift", [1, 2])

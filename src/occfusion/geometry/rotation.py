@@ -151,3 +151,15 @@ def quaternion_multiply(left: Tensor, right: Tensor) -> Tensor:
         ],
         dim=-1,
     )
+
+
+def z_axis_to(directions: Tensor) -> Tensor:
+    """Returns the quaternions of the shortest turns of +z to `directions [..., 3]` of length 1, `[..., 4]`, w first.
+
+    To -z, which is half a turn whatever the axis, about x.
+    """
+    x, y, z = directions.unbind(-1)
+    half_way = torch.stack([1.0 + z, -y, x, torch.zeros_like(z)], dim=-1)
+    about_x = half_way.new_tensor([0.0, 1.0, 0.0, 0.0])
+    # that near to -z the sum has lost the axis
+    return normalize_quaternion(torch.where((z < -1.0 + 1e-6)[..., None], about_x, half_way))

@@ -42,10 +42,10 @@ class Avatar(nn.Module):
         skinning_every: the skinning network costs more than all else here, so in training it is evaluated,
             and learns, at every k-th step only (`prepare`); between, its last values stand. Without gradients
             it is always evaluated as it is.
-        sh_frame: frame in which viewing directions are given to the harmonics: `canonical`, turned back with
-            each Gaussian, so that colours turn with the limbs; or `world`, in which a light fixed in the
-            world is better kept.
+        sh_frame: frame in which viewing directions are given to the harmonics: `canonical`, turned back with each
+            Gaussian, so that colours turn with the limbs; or `world`, in which a fixed light is better kept.
         key_light: by which colours change as surfaces turn, `[3]`, see `shading.brightness`; given, not learned.
+        dilation: of the splats in pictures, square pixels (`splat.Limits`).
         gaussians: the Gaussians; one on each vertex of the body when None.
     """
 
@@ -67,6 +67,7 @@ class Avatar(nn.Module):
         skinning_every: int = 4,
         sh_frame: str = "canonical",
         key_light: Tensor | None = None,
+        dilation: float = 0.3,
         gaussians: Gaussians | None = None,
     ) -> None:
         super().__init__()
@@ -81,6 +82,7 @@ class Avatar(nn.Module):
         self.skinning_field = SkinningField() if learn_skinning else None
         self.skinning_every = skinning_every
         self.sh_frame = sh_frame
+        self.dilation = dilation
         self.register_buffer("da_vertices", body.da_vertices(), persistent=False)
         self.register_buffer("da_transforms", body.da_transforms(), persistent=False)
         self.register_buffer("da_offsets", body.pose_offsets(body.da_rotations()), persistent=False)
@@ -90,8 +92,7 @@ class Avatar(nn.Module):
             self.register_buffer(
                 "da_normals", torch.from_numpy(normals).to(body.v_template), persistent=False
             )
-        # the network's last values in training; part of the state so that a resumed run goes on with the same
-        # ones
+        # the network's last values in training; part of the state so that a resumed run goes on with the same ones
         self.register_buffer("skinning_offsets", body.v_template.new_zeros(0, NUM_JOINTS))
         self.to(body.v_template)
         self._active_sh_degree = 0
@@ -166,7 +167,7 @@ class Avatar(nn.Module):
         shade = self.brightness(carried)
         if shade is not None:
             colors = colors * shade[:, None]
-        return Cloud(carried.means, carried.covariances, self.gaussians.opacities, colors)
+        return Cloud(carried.means, carried.covariances, self.gaussians.opacities, colors, self.dilation)
 
     def deform(self, pose: Pose) -> Carried:
         """Returns centres and covariances in a pose, world coordinates, without colours."""
@@ -220,8 +221,7 @@ class Avatar(nn.Module):
 
         Args:
             camera_centre: the camera that colours are for, `[3]`, metres.
-            angle: turn of the body about its vertical axis (+y) in radians, counter-clockwise seen from
-                above.
+            angle: turn of the body about its vertical axis (+y), radians, counter-clockwise seen from above.
         """
         means: Tensor = self.gaussians.means
         roots, turn = self.gaussians.roots(), None
@@ -231,7 +231,7 @@ class Avatar(nn.Module):
             means, roots = means @ turn.T, turn @ roots
         turned = None if turn is None or self.sh_frame != "canonical" else turn.unsqueeze(-1)
         colors = seen_colors(self.gaussians, self._active_sh_degree, means, camera_centre, turned)
-        return Cloud(means, roots @ roots.transpose(1, 2), self.gaussians.opacities, colors)
+        return Cloud(means, roots @ roots.transpose(1, 2), self.gaussians.opacities, colors, self.dilation)
 
     def _offsets(self, betas: Tensor, rotations: Tensor) -> Tensor:
         """Returns the blend shapes of this shape and pose minus those of the canonical body, `[N, 3]`."""

@@ -17,6 +17,7 @@ from occfusion.human.avatar import Avatar
 from occfusion.human.body import Body
 from occfusion.human.gaussians import PARAMETERS, Gaussians
 from occfusion.human.pose_spline import PoseSpline
+from occfusion.splat import Limits
 
 FORMAT = "occfusion avatar"
 VERSION = 1
@@ -39,6 +40,7 @@ def save_avatar(path: Path | str, avatar: Avatar) -> None:
         "active_sh_degree": avatar.active_sh_degree,
         "sh_frame": avatar.sh_frame,
         "key_light": avatar.key_light is not None,
+        "dilation": avatar.dilation,
         "refine_pose": avatar.pose_refiner is not None,
         "pose_spline": _spline_description(avatar.pose_spline),
         "learn_skinning": avatar.skinning_field is not None,
@@ -118,8 +120,9 @@ def _empty_avatar(body: Body, description: dict[str, Any]) -> Avatar:
         learn_skinning=bool(description["learn_skinning"]),
         skinning_every=int(description["skinning_every"]),
         sh_frame=str(description["sh_frame"]),
-        # absent, as the spline is, from files that are older than it
+        # absent, as the spline is, from files that are older, and so is what follows
         key_light=start.new_zeros(3) if description.get("key_light") else None,
+        dilation=float(description.get("dilation", Limits.dilation)),
         gaussians=Gaussians(start, start, int(description["sh_degree"])),
     )
 

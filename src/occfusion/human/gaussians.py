@@ -10,7 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from occfusion.geometry.neighbours import nearest, nearest_others
-from occfusion.geometry.rotation import normalize_quaternion, quaternion_to_matrix
+from occfusion.geometry.normals import vertex_normals
+from occfusion.geometry.rotation import normalize_quaternion, quaternion_to_matrix, z_axis_to
 from occfusion.human.body import Body
 
 MIN_SCALE, MAX_SCALE = 1e-5, 0.5
@@ -80,8 +81,8 @@ class Gaussians(nn.Module):
         """Counts replacements of rows or of their body vertices: what was derived from them is stale then."""
 
     @classmethod
-    def on_body(cls, body: Body, sh_degree: int, least: int = 0) -> Gaussians:
-        """Returns one Gaussian on each vertex of the mean-shape body in the Da pose, round, grey and faint.
+    def on_body(cls, body: Body, sh_degree: int, least: int = 0, thickness: float = 0.0) -> Gaussians:
+        """Returns one Gaussian on each vertex of the mean-shape body in the Da pose, grey and faint.
 
         Its size is the root of the mean squared distance to its three nearest neighbours.
 
@@ -90,14 +91,24 @@ class Gaussians(nn.Module):
             sh_degree: highest band of spherical harmonics that will ever be used.
             least: where a body has fewer vertices, the middles of its largest faces are taken as well, until there
                 are so many or all faces are.
+            thickness: standard deviation along the body's normal, metres; 0: Gaussians are round, as in 3DGS.
         """
         vertices = body.da_vertices()
         means = torch.cat([vertices, _middles_of_largest(vertices, body.faces, least - len(vertices))])
         distances = nearest_others(means, min(INITIAL_NEIGHBOURS, len(means) - 1)).distances
         sizes = distances.square().mean(dim=1, keepdim=True).sqrt()
-        gaussians = cls(means, sizes.expand(-1, 3), sh_degree)
-        gaussians.set_vertex_index(nearest(means, vertices).indices[:, 0])
+        gaussians, index = cls(means, sizes.expand(-1, 3), sh_degree), nearest(means, vertices).indices[:, 0]
+        gaussians.set_vertex_index(index)
+        if thickness:
+            normals = vertex_normals(vertices.double().cpu().numpy(), body.faces.cpu().numpy())
+            gaussians._flatten(torch.from_numpy(normals).to(means)[index], thickness)
         return gaussians
+
+    @torch.no_grad()
+    def _flatten(self, normals: Tensor, thickness: float) -> None:
+        """Turns the third axes to the `normals [N, 3]` and makes the Gaussians at most `thickness` thick along them."""
+        self.log_scales[:, 2].clamp_(max=math.log(max(thickness, MIN_SCALE)))
+        self.raw_quats.copy_(z_axis_to(normals))
 
     @property
     def num_gaussians(self) -> int:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from occfusion.geometry.neighbours import nearest
 from occfusion.human.avatar import Avatar
-from occfusion.splat import rasterize
+from occfusion.splat import Limits, rasterize
 from occfusion.splat.harmonics import SH_C0
 from occfusion.types import Frame
 
@@ -63,7 +63,7 @@ def accumulate(avatar: Avatar, frames: Iterable[Frame], backend: str) -> Accumul
         camera = frame.camera
         rgb = rasterize(
             carried.means, None, None, opacities, colors, camera.viewmat, camera.K, camera.width, camera.height,
-            covariances=carried.covariances, backend=backend,
+            covariances=carried.covariances, backend=backend, limits=Limits(dilation=avatar.dilation),
         ).rgb  # fmt: skip
         shown = frame.visible_mask[..., None].to(rgb).expand_as(rgb)
         (seen,) = torch.autograd.grad(rgb, colors, shown, retain_graph=True)

@@ -14,7 +14,7 @@ from occfusion.errors import NumericsError
 from occfusion.human.avatar import Avatar
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.priors.masks import Observation
-from occfusion.splat import rasterize
+from occfusion.splat import Limits, rasterize
 from occfusion.types import Frame
 
 Picture = NDArray[np.float32]
@@ -82,7 +82,7 @@ def take_partial(
     def render(colors: torch.Tensor) -> tuple[Picture, Picture]:
         made = rasterize(
             cloud.means, None, None, cloud.opacities, colors, camera.viewmat, camera.K, camera.width,
-            camera.height, covariances=cloud.covariances, backend=backend,
+            camera.height, covariances=cloud.covariances, backend=backend, limits=Limits(dilation=cloud.dilation),
         )  # fmt: skip
         return made.rgb.clamp(0.0, 1.0).cpu().numpy(), made.alpha.cpu().numpy()
 

@@ -24,6 +24,10 @@ GROWTH = 2.5
 """Of `CORE`: how far the hidden part of the core is grown back into the body's outline."""
 HIDDEN_SHARE = 0.03
 """Of the core: less hidden than this is put down to errors of pose and mask, and the person counts as whole."""
+THIN_CORE = 0.005
+"""As `CORE`, where doubt is enough: an occluder that takes a sliver of the person leaves little of the thicker core."""
+AROUND = 0.02
+"""Of the person's size: how far from the hull of hidden parts the person may be hidden as well."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,8 @@ class Evidence:
     Attributes:
         hidden: pixels inside the body that do not show the person, bool `[H, W]`.
         background: pixels taken for background, bool `[H, W]`.
+        maybe_hidden: pixels that do not show the person and are not background for certain, since something hidden
+            lies near or on both sides of them, bool `[H, W]`; by a thinner core, and so more than `background` leaves.
         hidden_share: share of the body's core that is hidden, 0..1.
         occluded: whether that is more than errors of pose and mask explain.
         outside_share: share of the whole body that does not show the person, 0..1: more than its core tells of
@@ -41,6 +47,7 @@ class Evidence:
 
     hidden: Mask
     background: Mask
+    maybe_hidden: Mask
     hidden_share: float
     occluded: bool
     outside_share: float
@@ -61,22 +68,56 @@ def gather_evidence(bodies: Sequence[Mask], visible: Sequence[Mask]) -> list[Evi
         bodies: the body's projection in each frame, bool `[H, W]`.
         visible: the paper's M of each.
     """
-    cores = [_shrunk(body, CORE * person_size(body)) for body in bodies]
     found = []
-    for body, core, seen in zip(bodies, cores, visible, strict=True):
-        hidden = _without_specks(core & ~seen, CORE * person_size(body))
-        size = int(core.sum())
-        share = float(hidden.sum()) / size if size else 0.0
-        unknown = _unknown(hidden, body, seen)
+    for body, seen in zip(bodies, visible, strict=True):
+        size = person_size(body)
+        hidden, share = _hidden(body, seen, CORE * size)
+        part = _hidden_part(hidden, body, seen, size)
+        background = ~seen & ~_unknown(part, seen, size)
         outside = float((body & ~seen).sum()) / max(1, int(body.sum()))
-        found.append(Evidence(hidden, ~seen & ~unknown, share, share > HIDDEN_SHARE, outside))
+        maybe = _maybe_hidden(body, seen, size)
+        found.append(Evidence(hidden, background, maybe, share, share > HIDDEN_SHARE, outside))
     return found
 
 
-def _unknown(hidden: Mask, body: Mask, seen: Mask) -> Mask:
+def _hidden(body: Mask, seen: Mask, depth: float) -> tuple[Mask, float]:
+    """Returns what is hidden of the body at least `depth` pixels inside its outline, and its share of that core."""
+    core = _shrunk(body, depth)
+    hidden, size = _without_specks(core & ~seen, depth), int(core.sum())
+    return hidden, float(hidden.sum()) / size if size else 0.0
+
+
+def _hidden_part(hidden: Mask, body: Mask, seen: Mask, size: float) -> Mask:
+    """Returns the hidden part of the body up to its outline."""
+    return _grown(hidden, GROWTH * CORE * size) & body & ~seen
+
+
+def _maybe_hidden(body: Mask, seen: Mask, size: float) -> Mask:
+    """Returns what may be hidden, in doubt rather more: also what lies between hidden parts.
+
+    What is hidden of a person close together is hidden by one thing, and so is what lies between.
+    """
+    hidden, share = _hidden(body, seen, THIN_CORE * size)
+    part = _hidden_part(hidden, body, seen, size)
+    if share <= HIDDEN_SHARE or not part.any():
+        return np.zeros_like(seen)
+    between = _grown(_hulls(part, REACH * size), AROUND * size)
+    return _unknown(part, seen, size) | (between & ~seen)
+
+
+def _hulls(mask: Mask, reach: float) -> Mask:
+    """Returns the convex hull of each cluster of a mask, whose pixels are at most about `2 * reach` pixels apart."""
+    count, labels = cv2.connectedComponents(_grown(mask, reach).astype(np.uint8))
+    hulls = np.zeros(mask.shape, np.uint8)
+    for label in range(1, count):
+        rows, columns = np.nonzero(mask & (labels == label))
+        corners = cv2.convexHull(np.stack([columns, rows], axis=1).astype(np.int32))
+        cv2.fillConvexPoly(hulls, corners, 1)
+    return hulls.astype(bool)
+
+
+def _unknown(part: Mask, seen: Mask, size: float) -> Mask:
     """Returns what may be hidden: the hidden part of the body and what lies nearer to it than to what is seen."""
-    size = person_size(body)
-    part = _grown(hidden, GROWTH * CORE * size) & body & ~seen
     if not part.any():
         return part
     to_hidden = cv2.distanceTransform((~part).astype(np.uint8), cv2.DIST_L2, 5)

@@ -14,7 +14,7 @@ from occfusion.human.avatar import Avatar
 from occfusion.human.densify import Densifier
 from occfusion.human.gaussians import means_rate
 from occfusion.perceptual import PerceptualMetric, random_crop_box
-from occfusion.splat import rasterize
+from occfusion.splat import Limits, rasterize
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
 from occfusion.stages.settings import AvatarSettings
 from occfusion.types import Box, Camera, Frame, Rendering
@@ -111,7 +111,7 @@ class AvatarStage(Stage):
         rendering = rasterize(
             cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,
             camera.width, camera.height, covariances=cloud.covariances, backend=self.backend,
-            crop=box, screen_offsets=self._screen_offsets,
+            crop=box, screen_offsets=self._screen_offsets, limits=Limits(dilation=cloud.dilation),
         )  # fmt: skip
         self._radii, self._camera = rendering.radii, camera
         return rendering, box

@@ -14,7 +14,7 @@ from occfusion.perceptual import PerceptualMetric
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.distil import Distiller
 from occfusion.stages.settings import OptimSettings
-from occfusion.stages.targets import Backgrounds, Target, crop_frame, mask_weights
+from occfusion.stages.targets import Doubts, Target, crop_frame, mask_weights
 from occfusion.types import Box, Frame, Rendering
 
 
@@ -29,7 +29,7 @@ class OptimStage(AvatarStage):
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
         densifier: densification; None exactly when `settings.densify` is false.
         distiller: score distillation; None where none of its terms has a weight.
-        backgrounds: what of the occluded frames is background; asked only where `settings.mask_hidden` is not 1.
+        doubts: where complete masks may be wrong; asked only where `settings.mask_hidden` is not 1.
         backend: rasteriser backend.
         seed: decides the perceptual crops, step by step.
     """
@@ -44,7 +44,7 @@ class OptimStage(AvatarStage):
         perceptual: PerceptualMetric | None,
         densifier: Densifier | None,
         distiller: Distiller[Any] | None = None,
-        backgrounds: Backgrounds | None = None,
+        doubts: Doubts | None = None,
         backend: str,
         seed: int,
     ) -> None:
@@ -53,11 +53,11 @@ class OptimStage(AvatarStage):
         )
         self.settings = settings
         self.distiller = distiller
-        self.backgrounds = backgrounds or {}
+        self.doubts = doubts or Doubts()
 
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.2: photometric ones and, with a distiller, that of the prior."""
-        weights = mask_weights(frame, box, self.backgrounds, self.settings.mask_hidden)
+        weights = mask_weights(frame, box, self.doubts, self.settings.mask_hidden)
         terms = self._photometric(rendering, crop_frame(frame, box), weights) | self.correction(frame)
         if self.distiller is not None:
             terms |= self.distiller.terms(self.avatar, frame, rendering.alpha, box, self.global_step)

@@ -12,7 +12,7 @@ from occfusion.perceptual import PerceptualMetric
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.references import References
 from occfusion.stages.settings import RefineSettings
-from occfusion.stages.targets import Backgrounds, crop_frame, mask_weights
+from occfusion.stages.targets import Doubts, Masks, crop_frame, mask_weights, with_outline
 from occfusion.types import Box, Frame, Rendering
 
 
@@ -23,7 +23,8 @@ class RefineStage(AvatarStage):
         avatar: the avatar of the optimisation stage, trained on in place.
         settings: weights, schedules and rates.
         references: the inpainted frames; a frame without one shows the whole person.
-        backgrounds: what of the occluded frames is background.
+        doubts: where complete masks may be wrong.
+        outlines: the avatar's own at the hand-over, which the mask term holds it to there; empty: to complete masks.
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
         densifier: densification; None exactly when `settings.densify` is false.
         backend: rasteriser backend.
@@ -38,7 +39,8 @@ class RefineStage(AvatarStage):
         avatar: Avatar,
         settings: RefineSettings,
         references: References,
-        backgrounds: Backgrounds,
+        doubts: Doubts,
+        outlines: Masks,
         *,
         perceptual: PerceptualMetric | None,
         densifier: Densifier | None,
@@ -52,13 +54,12 @@ class RefineStage(AvatarStage):
         )  # fmt: skip
         self.settings = settings
         self.references = references
-        self.backgrounds = backgrounds
+        self.doubts, self.outlines = doubts, outlines
 
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.3: L1 on M, L2 of the occupancy, L1 on R, and the perceptual one.
 
-        `mask_hidden` decides how much L2 counts where neither the person nor background is seen, but by some other
-        frame.
+        `mask_hidden` decides how much L2 counts where the person may be hidden, but is seen by some other frame.
         """
         settings, target = self.settings, crop_frame(frame, box)
         reference = self.references.get(frame, box)
@@ -71,8 +72,9 @@ class RefineStage(AvatarStage):
             terms["rgb"] = losses.l1(rgb, target.rgb, target.visible_mask)
         if settings.lambda_mask:
             unseen = None if reference is None or settings.gen_pixels != "unseen" else reference.region
-            weights = mask_weights(frame, box, self.backgrounds, settings.mask_hidden, unseen)
-            terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rgb.dtype), weights=weights)
+            weights = mask_weights(frame, box, self.doubts, settings.mask_hidden, unseen)
+            mask = with_outline(target.mask, frame, box, self.doubts, self.outlines, unseen)
+            terms["mask"] = losses.l2(rendering.alpha, mask.to(rgb.dtype), weights=weights)
         if settings.lambda_gen and reference is not None:
             terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)
         shown, wanted = (

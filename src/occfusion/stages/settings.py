@@ -160,6 +160,8 @@ class OptimSettings(AvatarSettings):
         mask_hidden: weight of the mask term on pixels that are neither seen nor background, 0..1; the paper: 1.
         gaussians: at the start, at least (`Gaussians.on_body`); 0: one on each vertex of the body.
         sh_frame: see `Avatar`.
+        dilation: of the splats in pictures, square pixels; 3DGS: 0.3. Its pictures and the refinement's have the same.
+        thickness: of the Gaussians at the start, which then lie flat on the body, m; 0: they are round.
         key_light: estimate a lamp from the video, by which colours change as surfaces turn; the paper has none.
         refine_pose: GauHuman's network of pose corrections.
         pose_knots: training frames from one knot to the next of the corrections frame by frame; 0: none.
@@ -176,6 +178,8 @@ class OptimSettings(AvatarSettings):
     lambda_lpips: float = 1e3
     gaussians: int = 20_000
     sh_frame: str = "canonical"
+    dilation: float = 0.3
+    thickness: float = 0.0
     key_light: bool = False
     refine_pose: bool = True
     pose_knots: int = 4
@@ -193,6 +197,8 @@ class RefineSettings(AvatarSettings):
             `truth`: the data set's own complete pictures, an upper bound for synthetic scenes.
         mask_hidden: weight of the mask term on pixels that are neither seen nor background, 0..1; the paper: 1.
         mask_hidden_fitting: the same where poses fit as given, and complete masks with them.
+        mask_target: what the mask term holds these pixels to: `outline`: where poses fit as given, the avatar's own at
+            the hand-over, with a weight of 1; `complete`: the complete masks, as in the paper, with the weights above.
         gen_pixels: where references count: `unseen`: where the paper's R shows what no frame of the video does;
             `hidden`: in all of R.
         lpips_pixels: what the SSIM and perceptual terms look at: `visible`; `all`: at those pixels of the
@@ -202,6 +208,7 @@ class RefineSettings(AvatarSettings):
     source: str = "prior"
     mask_hidden: float = 0.0
     mask_hidden_fitting: float = 0.2
+    mask_target: str = "outline"
     gen_pixels: str = "unseen"
     lpips_pixels: str = "visible"
     steps: int = 1200

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -29,32 +29,73 @@ class Target:
     mask: Tensor
 
 
-Backgrounds = Mapping[int, NDArray[np.bool_]]
-"""By the numbers of the frames whose person is occluded: pixels taken for background, bool `[H, W]`."""
+Masks = Mapping[int, NDArray[np.bool_]]
+"""By the numbers of frames, one mask of the frame each, bool `[H, W]`."""
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """Where complete masks may be wrong; frames that show a whole person have none.
+
+    Attributes:
+        hidden: what neither shows the person nor is background for certain.
+        unasked: what of that was taken for background when masks were completed, so that a complete mask, or the lack
+            of one, says nothing there.
+    """
+
+    hidden: Masks = field(default_factory=dict)
+    unasked: Masks = field(default_factory=dict)
+
+    def of(self, frame: Frame, box: Box, unseen: Tensor | None = None) -> Tensor | None:
+        """Returns the doubtful pixels of a window but for those of `unseen`, bool `[h, w]`; None for a whole person."""
+        found = _window(self.hidden, frame, box)
+        return found if found is None or unseen is None else found & ~unseen
 
 
 def mask_weights(
-    frame: Frame, box: Box, backgrounds: Backgrounds, hidden: float, unseen: Tensor | None = None
+    frame: Frame, box: Box, doubts: Doubts, hidden: float, unseen: Tensor | None = None
 ) -> Tensor | None:
     """Returns how much each pixel of the window `box` counts in the mask term, `[h, w]`; None where all count fully.
 
-    What is neither seen nor background has its place in a complete mask from a prior and a pose that may be off by
-    more than the avatar is, which other frames show whole.
+    What is hidden has its place in a complete mask from a prior and a pose that may be off by more than the avatar is,
+    which other frames show whole.
 
     Args:
         frame: a training frame.
         box: a window of it.
-        backgrounds: of the occluded frames.
-        hidden: weight of what is neither seen nor background.
+        doubts: of all frames.
+        hidden: weight of the doubtful pixels; below 1, those that no prior was asked about count for nothing.
         unseen: pixels of the window that no frame shows, which count fully: a complete mask is all there is to go by
             there; bool `[h, w]`.
     """
-    background = backgrounds.get(frame.index)
-    if background is None or hidden == 1.0:
+    doubtful = doubts.of(frame, box, unseen)
+    if doubtful is None or hidden == 1.0:
         return None
-    seen = crop(frame.visible_mask, box)
-    known = seen | crop(torch.from_numpy(background), box).to(seen.device)
-    return torch.where(known if unseen is None else known | unseen, 1.0, hidden)
+    weights = torch.where(doubtful, hidden, 1.0)
+    unasked = _window(doubts.unasked, frame, box)
+    return weights if unasked is None else torch.where(unasked & doubtful, 0.0, weights)
+
+
+def with_outline(
+    mask: Tensor, frame: Frame, box: Box, doubts: Doubts, outlines: Masks, unseen: Tensor | None = None
+) -> Tensor:
+    """Returns a window's complete mask, with an avatar's outline where that is in doubt, bool `[h, w]`.
+
+    Args:
+        mask: the complete mask of the window, bool `[h, w]`.
+        frame: a training frame.
+        box: a window of it.
+        doubts: of all frames.
+        outlines: the avatar's; in a frame without one the complete mask stays.
+        unseen: see `mask_weights`; the complete mask stays there.
+    """
+    outline, doubtful = _window(outlines, frame, box), doubts.of(frame, box, unseen)
+    return mask if outline is None or doubtful is None else torch.where(doubtful, outline, mask)
+
+
+def _window(masks: Masks, frame: Frame, box: Box) -> Tensor | None:
+    whole = masks.get(frame.index)
+    return None if whole is None else crop(torch.from_numpy(whole), box).to(frame.visible_mask.device)
 
 
 def crop_frame(frame: Frame, box: Box) -> Target:

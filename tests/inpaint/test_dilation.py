@@ -1,0 +1,64 @@
+"""An avatar is drawn with the dilation that it was trained with, wherever it is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from made_up_partial import made_up_partial
+from occfusion.human import embedded_body
+from occfusion.human.avatar import Avatar
+from occfusion.inpaint.accumulation import accumulate
+from occfusion.inpaint.partial import take_partial
+from occfusion.render import canonical_alpha, outline, render_frame
+from occfusion.splat import Limits, rasterize
+from occfusion.stages.optim import OptimStage
+from occfusion.stages.settings import OptimSettings
+from occfusion.types import Camera, Cloud, Frame, Pose
+
+SIZE = 48
+
+
+@pytest.fixture
+def frame() -> Frame:
+    camera = made_up_partial(SIZE).observation.camera
+    camera = replace(camera, viewmat=camera.viewmat.float(), K=camera.K.float())
+    pose = Pose(torch.zeros(10), torch.zeros(3), torch.zeros(69), torch.tensor([0.0, 0.2, 3.0]))
+    seen = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+    seen[:, : SIZE // 2] = True
+    return Frame(0, 0, "frame", torch.rand(SIZE, SIZE, 3), seen, None, seen, None, camera, pose)
+
+
+def alpha_of(cloud: Cloud, camera: Camera, dilation: float) -> Tensor:
+    return rasterize(
+        cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K, SIZE, SIZE,
+        covariances=cloud.covariances, backend="torch", limits=Limits(dilation=dilation),
+    ).alpha  # fmt: skip
+
+
+@pytest.mark.parametrize("dilation", [0.1, 0.3])
+def test_every_picture_of_an_avatar_has_its_dilation(frame: Frame, dilation: float) -> None:
+    avatar, camera = Avatar(embedded_body(), dilation=dilation).eval(), frame.camera
+    with torch.no_grad():
+        avatar.gaussians.opacity_logits.fill_(2.0)
+        cloud, canonical = avatar(frame.pose, camera.centre), avatar.canonical(camera.centre)
+    want = alpha_of(cloud, camera, dilation)
+    assert (want - alpha_of(cloud, camera, 0.2)).abs().max() > 0.01
+    torch.testing.assert_close(render_frame(avatar, frame, "torch").alpha, want)
+    assert torch.equal(outline(avatar, frame, "torch"), want > 0.5)
+    torch.testing.assert_close(
+        canonical_alpha(avatar, camera, "torch").detach(), alpha_of(canonical, camera, dilation)
+    )
+    observation = replace(made_up_partial(SIZE).observation, camera=camera)
+    accumulated = accumulate(avatar, [frame], "torch")
+    # each pixel's weights sum to its occupancy
+    torch.testing.assert_close(accumulated.weights.sum(), want[frame.visible_mask].sum(), rtol=1e-4, atol=0.0)
+    partial = take_partial(avatar, accumulated, frame, observation, "torch")
+    torch.testing.assert_close(torch.from_numpy(partial.alpha), want)
+    settings = OptimSettings(lambda_lpips=0.0)
+    stage = OptimStage(avatar, settings, perceptual=None, densifier=None, backend="torch", seed=0)
+    rendering, (x, y, width, height) = stage._render_crop(frame)
+    torch.testing.assert_close(rendering.alpha.detach(), want[y : y + height, x : x + width])
