@@ -35,7 +35,7 @@ from occfusion.stages.optim import OptimStage
 from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.refine import RefineStage
-from occfusion.stages.settings import AvatarSettings, SdsSettings
+from occfusion.stages.settings import AvatarSettings, SdsSettings, as_in_3dgs
 from occfusion.stages.targets import Doubts
 
 WARM_UP_SAID = 0.05
@@ -72,8 +72,8 @@ def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse
         stage=Named("optim"),
         variant=VariantSettings("B", ["init", "optim"]),
         dataset=dataset,
-        # as the whole system starts, but under even light, as the embedded weights were trained
-        optim=replace(settings.optim, sds=SdsSettings(), gaussians=0, key_light=False),
+        # one Gaussian on each vertex, as the whole system starts, but plain ones, as the embedded weights were trained
+        optim=replace(as_in_3dgs(settings.optim), sds=SdsSettings(), gaussians=0),
         evaluation=replace(settings.evaluation, curve=False, perceptual=False),
         seed=scene.seed,
         output_dir=str(folder),

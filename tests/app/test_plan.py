@@ -11,6 +11,7 @@ from occfusion.priors.consistency import Motion
 from occfusion.priors.evidence import HIDDEN_SHARE, Evidence
 from occfusion.priors.key_light import KeyLight
 from occfusion.priors.moments import Moment
+from occfusion.stages.settings import as_in_3dgs
 
 SUMMARY = {"occluded_frames": 0, "frames": 12}
 
@@ -223,3 +224,8 @@ def test_a_lamp_is_used_where_it_explains_what_changes(
     (decision,) = (d for d in plan if d.part == "key light")
     assert decision.used == lit
     assert found is None or f"{found.explained:.0%}" in decision.reason
+
+
+def test_coarse_avatars_of_the_inpainters_corpus_are_as_in_3dgs() -> None:
+    whole, masks = settings_of("variant=E").optim, settings_of("variant=B").optim
+    assert as_in_3dgs(whole) == masks != whole
