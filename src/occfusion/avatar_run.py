@@ -201,9 +201,9 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
         device_of(settings),
     )
     doubts = _doubts(run_)
-    frames = (run_.data.train_frame(k, truth=False) for k in range(len(run_.moments)))
-    doubtful = (frame for frame in frames if frame.index in doubts.hidden)
-    outlines = own_outlines(run_.avatar, doubtful, run_.backend) if refine.mask_target == "outline" else {}
+    doubtful = [k for k, moment in enumerate(run_.moments) if moment.frame in doubts.hidden]
+    frames = (run_.data.train_frame(k, truth=False) for k in doubtful)
+    outlines = own_outlines(run_.avatar, frames, run_.backend) if refine.mask_target == "outline" else {}
     run_.avatar.gaussians.allocate_bands(planning.refined_sh_degree(settings))
     stage = RefineStage(
         run_.avatar,

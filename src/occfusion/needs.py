@@ -24,7 +24,6 @@ MOSTLY_HIDDEN = 0.9
 BASELINE = "gauhuman"
 """The variant that is kept as it was published."""
 
-
 LIT = 0.1
 """Of the differences between sightings of a point of the body: a lamp that explains less is left out."""
 DETERMINED = 50.0
