@@ -81,7 +81,6 @@ def make_references(
     return stage.references, seconds
 
 
-@torch.no_grad()
 def own_outlines(avatar: Avatar, frames: Iterable[Frame], backend: str) -> dict[int, NDArray[np.bool_]]:
     """Returns what an avatar covers by more than half in each frame, by its number, bool `[H, W]`."""
     avatar.eval()

@@ -23,22 +23,24 @@ def render_cloud(
 def canonical_alpha(avatar: Avatar, camera: Camera, backend: str) -> torch.Tensor:
     """Returns the occupancy of the canonical pose, `[H, W]`; differentiable, colours left out."""
     cloud = avatar.canonical(camera.centre)
-    return rasterize(
-        cloud.means, None, None, cloud.opacities, torch.zeros_like(cloud.means), camera.viewmat, camera.K,
-        camera.width, camera.height, covariances=cloud.covariances, backend=backend,
-        limits=Limits(dilation=cloud.dilation),
-    ).alpha  # fmt: skip
+    return _alpha(avatar, cloud.means, cloud.covariances, camera, backend)
 
 
 @torch.no_grad()
 def outline(avatar: Avatar, frame: Frame, backend: str) -> torch.Tensor:
     """Returns what an avatar covers by more than half in a frame's pose and camera, bool `[H, W]`; colours left out."""
-    carried, camera = avatar.deform(frame.pose), frame.camera
+    carried = avatar.deform(frame.pose)
+    return _alpha(avatar, carried.means, carried.covariances, frame.camera, backend) > 0.5
+
+
+def _alpha(
+    avatar: Avatar, means: torch.Tensor, covariances: torch.Tensor, camera: Camera, backend: str
+) -> torch.Tensor:
     return rasterize(
-        carried.means, None, None, avatar.gaussians.opacities, torch.zeros_like(carried.means), camera.viewmat,
-        camera.K, camera.width, camera.height, covariances=carried.covariances, backend=backend,
+        means, None, None, avatar.gaussians.opacities, torch.zeros_like(means), camera.viewmat, camera.K,
+        camera.width, camera.height, covariances=covariances, backend=backend,
         limits=Limits(dilation=avatar.dilation),
-    ).alpha > 0.5  # fmt: skip
+    ).alpha  # fmt: skip
 
 
 @torch.inference_mode()

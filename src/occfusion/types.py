@@ -137,7 +137,7 @@ class Cloud:
     covariances: Tensor
     opacities: Tensor
     colors: Tensor
-    dilation: float = 0.3
+    dilation: float
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from occfusion.human.gaussians import Gaussians
 from occfusion.human.memo import Memo
 from occfusion.human.pose_spline import PoseSpline
 from occfusion.human.shading import brightness, seen_colors
+from occfusion.splat import Limits
 from occfusion.types import Cloud, Pose
 
 ShFrame = Literal["canonical", "world"]
@@ -39,9 +40,8 @@ class Avatar(nn.Module):
         refine_pose: learn corrections of the body pose from the pose itself.
         pose_spline: corrections of the frames of one sequence, learned too; None: none.
         learn_skinning: learn offsets to the skinning weights.
-        skinning_every: the skinning network costs more than all else here, so in training it is evaluated,
-            and learns, at every k-th step only (`prepare`); between, its last values stand. Without gradients
-            it is always evaluated as it is.
+        skinning_every: the skinning network costs more than all else here, so in training it is evaluated, and learns,
+            at every k-th step only (`prepare`); between, its last values stand. Without gradients it always is.
         sh_frame: frame in which viewing directions are given to the harmonics: `canonical`, turned back with each
             Gaussian, so that colours turn with the limbs; or `world`, in which a fixed light is better kept.
         key_light: by which colours change as surfaces turn, `[3]`, see `shading.brightness`; given, not learned.
@@ -67,7 +67,7 @@ class Avatar(nn.Module):
         skinning_every: int = 4,
         sh_frame: str = "canonical",
         key_light: Tensor | None = None,
-        dilation: float = 0.3,
+        dilation: float = Limits.dilation,
         gaussians: Gaussians | None = None,
     ) -> None:
         super().__init__()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from occfusion.human.densify import Densification
+from occfusion.splat import Limits
 
 
 @dataclass
@@ -157,7 +158,7 @@ class OptimSettings(AvatarSettings):
 
     Attributes:
         pixels: `visible`: the paper's M; `all`: the whole crop.
-        mask_hidden: weight of the mask term on pixels that are neither seen nor background, 0..1; the paper: 1.
+        mask_hidden: weight of complete masks in the mask term where the person may be hidden, 0..1; the paper: 1.
         gaussians: at the start, at least (`Gaussians.on_body`); 0: one on each vertex of the body.
         sh_frame: see `Avatar`.
         dilation: of the splats in pictures, square pixels; 3DGS: 0.3. Its pictures and the refinement's have the same.
@@ -178,7 +179,7 @@ class OptimSettings(AvatarSettings):
     lambda_lpips: float = 1e3
     gaussians: int = 20_000
     sh_frame: str = "canonical"
-    dilation: float = 0.3
+    dilation: float = Limits.dilation
     thickness: float = 0.0
     key_light: bool = False
     refine_pose: bool = True
@@ -204,7 +205,7 @@ class RefineSettings(AvatarSettings):
     Attributes:
         source: of the references: `prior`; `coarse`: the coarse rendering itself, to see what inpainting adds;
             `truth`: the data set's own complete pictures, an upper bound for synthetic scenes.
-        mask_hidden: weight of the mask term on pixels that are neither seen nor background, 0..1; the paper: 1.
+        mask_hidden: weight of complete masks in the mask term where the person may be hidden, 0..1; the paper: 1.
         mask_hidden_fitting: the same where poses fit as given, and complete masks with them.
         mask_target: what the mask term holds these pixels to: `outline`: where poses fit as given, the avatar's own at
             the hand-over, with a weight of 1; `complete`: the complete masks, as in the paper, with the weights above.
