@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occfusion.config import STAGES, Settings, stages_to_run
-from occfusion.priors.evidence import HIDDEN_SHARE
+from occfusion.priors.evidence import FITTING, HIDDEN_SHARE
 from occfusion.priors.key_light import KeyLight
-from occfusion.priors.moments import FITTING, Moment, misfit_of, poses_fit
+from occfusion.priors.moments import Moment, misfit_of, poses_fit
 from occfusion.stages.avatar import BOX_PADDING
 from occfusion.stages.settings import AvatarSettings
 

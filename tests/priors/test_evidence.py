@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from occfusion.priors.evidence import HIDDEN_SHARE, gather_evidence, person_size
+from occfusion.priors.evidence import FRAMES_TO_JUDGE, HIDDEN_SHARE, gather_evidence, misfit, person_size
 
 SIZE = 100
 
@@ -57,6 +57,40 @@ def test_a_sliver_too_thin_for_the_core_may_be_hidden_all_the_same() -> None:
     found = gather_evidence([body], [seen])[0]
     assert not found.hidden.any() and found.background[100, 113]
     assert found.maybe_hidden[50:350, 110:116].all()
+
+
+def sliver() -> np.ndarray:
+    seen = person()
+    seen[:, 59] = False
+    return seen
+
+
+def test_where_poses_fit_a_sliver_of_a_pixel_may_be_hidden() -> None:
+    bodies, visible = [person()] * (FRAMES_TO_JUDGE + 1), [person()] * FRAMES_TO_JUDGE + [sliver()]
+    *whole, found = gather_evidence(bodies, visible)
+    assert found.maybe_hidden[10:90, 59:61].all()
+    assert not (found.maybe_hidden & sliver()).any() and not found.maybe_hidden[:, 70:].any()
+    assert not found.occluded and found.background[50, 59]  # complete masks are made as before
+    assert not any(own.maybe_hidden.any() for own in whole)
+
+
+def test_where_poses_fit_less_of_the_body_than_rounding_explains_is_not_hidden() -> None:
+    seen = person()
+    seen[40:44, 59] = False
+    bodies, visible = [person()] * (FRAMES_TO_JUDGE + 1), [person()] * FRAMES_TO_JUDGE + [seen]
+    assert not gather_evidence(bodies, visible)[-1].maybe_hidden.any()
+
+
+@pytest.mark.parametrize("whole", [FRAMES_TO_JUDGE - 2, FRAMES_TO_JUDGE])
+def test_where_poses_do_not_fit_or_too_little_tells_a_sliver_is_their_error(whole: int) -> None:
+    moved = np.roll(person(), 1, axis=1) if whole == FRAMES_TO_JUDGE else person()
+    found = gather_evidence([moved] * (whole + 1), [person()] * whole + [sliver()])[-1]
+    assert not found.maybe_hidden.any()
+
+
+def test_misfit_is_a_median_and_needs_enough_frames() -> None:
+    assert misfit([0.5] * (FRAMES_TO_JUDGE - 1)) is None
+    assert misfit([0.0] * FRAMES_TO_JUDGE + [0.5]) == 0.0
 
 
 def test_nothing_of_a_whole_person_may_be_hidden() -> None:

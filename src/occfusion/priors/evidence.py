@@ -28,6 +28,13 @@ THIN_CORE = 0.005
 """As `CORE`, where doubt is enough: an occluder that takes a sliver of the person leaves little of the thicker core."""
 AROUND = 0.02
 """Of the person's size: how far from the hull of hidden parts the person may be hidden as well."""
+FITTING = 1e-3
+"""Of the body: where less lies outside the masks of whole people, poses need no mending. Embedded scenes with exact
+poses have 4e-5 at most, those with an estimator's errors and ragged masks 2.6e-2 at least (docs/leaving_out.md)."""
+FRAMES_TO_JUDGE = 10
+"""Fewer frames of a whole person say too little about how well poses fit."""
+SLIVER_SHARE = 3 * FITTING
+"""Of the body: where poses fit, more than this outside the mask is hidden, however thin."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,8 @@ class Evidence:
         hidden: pixels inside the body that do not show the person, bool `[H, W]`.
         background: pixels taken for background, bool `[H, W]`.
         maybe_hidden: pixels that do not show the person and are not background for certain, since something hidden
-            lies near or on both sides of them, bool `[H, W]`; by a thinner core, and so more than `background` leaves.
+            lies near or on both sides of them, bool `[H, W]`; by a thinner core, or all of the body where poses fit,
+            and so more than `background` leaves.
         hidden_share: share of the body's core that is hidden, 0..1.
         occluded: whether that is more than errors of pose and mask explain.
         outside_share: share of the whole body that does not show the person, 0..1: more than its core tells of
@@ -68,16 +76,31 @@ def gather_evidence(bodies: Sequence[Mask], visible: Sequence[Mask]) -> list[Evi
         bodies: the body's projection in each frame, bool `[H, W]`.
         visible: the paper's M of each.
     """
+    pairs = list(zip(bodies, visible, strict=True))
+    cores = [_hidden(body, seen, CORE * person_size(body)) for body, seen in pairs]
+    outside = [_outside_share(body, seen) for body, seen in pairs]
+    missed = misfit([miss for miss, (_, share) in zip(outside, cores, strict=True) if share <= HIDDEN_SHARE])
+    fits = missed is not None and missed < FITTING
     found = []
-    for body, seen in zip(bodies, visible, strict=True):
+    for (body, seen), (hidden, share), miss in zip(pairs, cores, outside, strict=True):
         size = person_size(body)
-        hidden, share = _hidden(body, seen, CORE * size)
-        part = _hidden_part(hidden, body, seen, size)
-        background = ~seen & ~_unknown(part, seen, size)
-        outside = float((body & ~seen).sum()) / max(1, int(body.sum()))
-        maybe = _maybe_hidden(body, seen, size)
-        found.append(Evidence(hidden, background, maybe, share, share > HIDDEN_SHARE, outside))
+        background = ~seen & ~_unknown(_hidden_part(hidden, body, seen, size), seen, size)
+        maybe = _maybe_hidden(body, seen, size, fits)
+        found.append(Evidence(hidden, background, maybe, share, share > HIDDEN_SHARE, miss))
     return found
+
+
+def misfit(outside_shares: Sequence[float]) -> float | None:
+    """Returns how much of the body lies outside the mask in frames that show a whole person; None if they are few.
+
+    Args:
+        outside_shares: `Evidence.outside_share` of those frames.
+    """
+    return float(np.median(outside_shares)) if len(outside_shares) >= FRAMES_TO_JUDGE else None
+
+
+def _outside_share(body: Mask, seen: Mask) -> float:
+    return float((body & ~seen).sum()) / max(1, int(body.sum()))
 
 
 def _hidden(body: Mask, seen: Mask, depth: float) -> tuple[Mask, float]:
@@ -92,14 +115,20 @@ def _hidden_part(hidden: Mask, body: Mask, seen: Mask, size: float) -> Mask:
     return _grown(hidden, GROWTH * CORE * size) & body & ~seen
 
 
-def _maybe_hidden(body: Mask, seen: Mask, size: float) -> Mask:
+def _maybe_hidden(body: Mask, seen: Mask, size: float, fits: bool) -> Mask:
     """Returns what may be hidden, in doubt rather more: also what lies between hidden parts.
 
-    What is hidden of a person close together is hidden by one thing, and so is what lies between.
+    What is hidden of a person close together is hidden by one thing, and so is what lies between. Where poses fit, no
+    core is needed: all of the body that is not seen is hidden.
     """
-    hidden, share = _hidden(body, seen, THIN_CORE * size)
-    part = _hidden_part(hidden, body, seen, size)
-    if share <= HIDDEN_SHARE or not part.any():
+    if fits:
+        part = body & ~seen
+        occluded = _outside_share(body, seen) > SLIVER_SHARE
+    else:
+        hidden, share = _hidden(body, seen, THIN_CORE * size)
+        part = _hidden_part(hidden, body, seen, size)
+        occluded = share > HIDDEN_SHARE and bool(part.any())
+    if not occluded:
         return np.zeros_like(seen)
     between = _grown(_hulls(part, REACH * size), AROUND * size)
     return _unknown(part, seen, size) | (between & ~seen)

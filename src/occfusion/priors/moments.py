@@ -13,16 +13,10 @@ from occfusion.errors import DataError
 from occfusion.human.body import Body
 from occfusion.priors.bodyview import project, view_body
 from occfusion.priors.consistency import Motion
-from occfusion.priors.evidence import Evidence, gather_evidence
+from occfusion.priors.evidence import FITTING, Evidence, gather_evidence, misfit
 from occfusion.priors.keypoints import face_vertices, keypoints_3d
 from occfusion.priors.masks import Observation
 from occfusion.types import Frame
-
-FITTING = 1e-3
-"""Of the body: where less lies outside the masks of whole people, poses need no mending. Embedded scenes with exact
-poses have 4e-5 at most, those with an estimator's errors and ragged masks 2.6e-2 at least (docs/leaving_out.md)."""
-FRAMES_TO_JUDGE = 10
-"""Fewer frames of a whole person say too little about how well poses fit."""
 
 
 @dataclass(frozen=True)
@@ -91,13 +85,12 @@ def misfit_of(moments: Sequence[Moment] | None) -> tuple[float, int] | None:
 
     A share, the median of the frames that show a whole person.
     """
-    whole = [moment for moment in moments or () if not moment.evidence.occluded]
-    if len(whole) < FRAMES_TO_JUDGE:
-        return None
-    return float(np.median([moment.evidence.outside_share for moment in whole])), len(whole)
+    whole = [moment.evidence for moment in moments or () if not moment.evidence.occluded]
+    missed = misfit([own.outside_share for own in whole])
+    return None if missed is None else (missed, len(whole))
 
 
 def poses_fit(moments: Sequence[Moment] | None) -> bool:
     """Returns whether poses need no mending, as far as the video tells."""
-    misfit = misfit_of(moments)
-    return misfit is not None and misfit[0] < FITTING
+    measured = misfit_of(moments)
+    return measured is not None and measured[0] < FITTING

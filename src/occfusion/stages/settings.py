@@ -221,7 +221,7 @@ class RefineSettings(AvatarSettings):
     mask_target: str = "outline"
     gen_pixels: str = "unseen"
     lpips_pixels: str = "visible"
-    steps: int = 1200
+    steps: int = 1800
     lambda_rgb: float = 1.0
     lambda_mask: float = 4.0
     lambda_gen: float = 0.1
