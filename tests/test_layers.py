@@ -35,6 +35,7 @@ LAYERS = [
         "evaluation_run",
         "evaluation_tables",
         "init_run",
+        "optim_run",
         "refine_run",
         "run_objects",
         "avatar_run",

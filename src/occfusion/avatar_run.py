@@ -19,6 +19,7 @@ from occfusion.human import load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.init_run import run_init
 from occfusion.needs import as_planned
+from occfusion.optim_run import start_as_observed
 from occfusion.priors.registry import make_score_prior
 from occfusion.processes import is_helper, tell_helpers
 from occfusion.recipes.appearance import Coarse, CoarseScene
@@ -152,6 +153,8 @@ def _train_stage(run_: Run, name: str) -> None:
     own: AvatarSettings = getattr(settings, name)
     trainer = _trainer(settings, own.steps, callbacks)
     checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
+    if name == "optim" and settings.optim.observed_colors and checkpoint is None:
+        stage.clock.restore(start_as_observed(run_.avatar, run_.data, run_.backend))
     run_.avatar.train()
     with guard:
         trainer.fit(stage, datamodule=run_.data, ckpt_path=checkpoint, weights_only=True)

@@ -71,6 +71,8 @@ def make_plan(
     plan.append(correction_decision("optim", optim, networks))
     plan.append(key_light_decision(settings, key_light))
     plan.append(start_decision(settings))
+    reason = f"optim.observed_colors = {optim.observed_colors}"
+    plan.append(Decision("colours of the video at the start", optim.observed_colors, reason))
     plan.append(Decision("densification", optim.densify, f"optim.densify = {optim.densify}"))
     if is_refined:
         refine = settings.refine

@@ -71,7 +71,7 @@ def test_the_whole_system_leaves_it_out_where_masks_are_complete(
     As long as both its stages have the terms of `B`: neither deferred perceptual ones nor masks that count less, nor
     Gaussians that are left to the refinement or flat, nor sharper, nor a lamp.
     """
-    flat = ("optim.thickness=0", "optim.rates.scales=0.05")
+    flat = ("optim.thickness=0", "optim.observed_colors=false", "optim.rates.scales=0.05")
     plain = ("optim.key_light=false", "optim.dilation=0.3", *flat)
     alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false", *plain)
     refine = ("variant=E", SHORT, "refine.steps=1", "refine.source=coarse", *alike)

@@ -94,11 +94,15 @@ def test_distillation_where_masks_are_complete(
 def test_what_is_left_out_does_not_keep_results_apart() -> None:
     """`E` optimises what `D` does if asked for everything, without distillation what `B` does: it may take that."""
     moments = frames(*[0.5] * 12)
-    flat = ("optim.thickness=0", "optim.rates.scales=0.05")
+    flat = ("optim.thickness=0", "optim.observed_colors=false", "optim.rates.scales=0.05")
     plain = ("optim.key_light=false", "optim.dilation=0.3", *flat)
     whole, distilled = (as_planned(settings_of(f"variant={v}", "plan=full", *plain), moments) for v in "ED")
     assert optim_hash(whole) == optim_hash(distilled)
-    for own in ("optim.key_light=true", "optim.thickness=0.002", "optim.dilation=0.1"):
+    lit, sharp = (
+        ("optim.key_light=true", "optim.observed_colors=true"),
+        ("optim.thickness=0.002", "optim.dilation=0.1"),
+    )
+    for own in (*lit, *sharp):
         settings = settings_of("variant=E", "plan=full", *plain, own)
         assert optim_hash(whole) != optim_hash(as_planned(settings, moments))
     alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false", *plain)

@@ -103,6 +103,7 @@ def test_the_optimisation_of_d_serves_e(train: Train, monkeypatch: pytest.Monkey
         "optim.key_light=false",
         "optim.dilation=0.3",
         "optim.thickness=0",
+        "optim.observed_colors=false",
         "optim.rates.scales=0.05",
     )  # weights, light and Gaussians at the start alike, whatever they are
     d, first = train("variant=D", *common, folder="d")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
 import torch
 from torch.testing import assert_close
 
 from occfusion.human import Avatar
-from occfusion.inpaint.accumulation import ENOUGH, Accumulated, accumulate, paint_unseen
+from occfusion.inpaint.accumulation import ENOUGH, Accumulated, accumulate, paint_observed, paint_unseen
 from occfusion.splat import rasterize
 from occfusion.types import Frame
 
@@ -134,3 +135,32 @@ def test_what_nobody_saw_is_painted_and_what_was_seen_stays(avatar: Avatar, make
         assert inside.any()
         assert_close(after[2::3][inside], (0.5 * (before + nearby))[2::3][inside])
     assert not torch.equal(own[0], own[1]), "colours depend on the direction"
+
+
+def test_a_given_opacity_is_that_of_all_gaussians(avatar: Avatar, make_frame: MakeFrame) -> None:
+    frame = make_frame(0)
+    found = accumulate(avatar, [frame], "torch", opacity=0.95)
+    with torch.no_grad():
+        avatar.gaussians.opacity_logits.fill_(torch.logit(torch.tensor(0.95)))
+    known, _ = one_by_one(avatar, frame)
+    assert_close(found.weights, known, rtol=1e-4, atol=1e-4)
+
+
+def test_observed_colours_are_given_to_all_and_seen_from_all_sides(
+    avatar: Avatar, make_frame: MakeFrame
+) -> None:
+    frame = make_frame(0, left_half())
+    paint_observed(avatar, accumulated := accumulate(avatar, [frame], "torch", opacity=0.95))
+    for centre in (frame.camera.centre, -frame.camera.centre):
+        assert_close(avatar(frame.pose, centre).colors, accumulated.colors, rtol=0, atol=1e-5)
+
+
+def test_few_pixels_for_many_gaussians_are_better_than_grey(
+    avatar: Avatar, make_frame: MakeFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("occfusion.inpaint.accumulation.ENOUGH", 1e6)
+    frame = make_frame(0)
+    red = Frame(**{**vars(frame), "rgb": torch.tensor([0.8, 0.1, 0.2]).expand(SIZE, SIZE, 3).contiguous()})
+    found = accumulate(avatar, [red], "torch")
+    assert_close(found.colors, torch.tensor([0.8, 0.1, 0.2]).expand_as(found.colors), rtol=0, atol=2e-3)
+    assert (found.seen > 0.5).sum() >= (found.weights > 0).sum() // 2 - 1

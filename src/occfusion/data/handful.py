@@ -8,7 +8,7 @@ from occfusion.data.module import HumanDataModule
 from occfusion.types import Frame
 
 
-def _spread(count: int, wanted: int) -> list[int]:
+def spread(count: int, wanted: int) -> list[int]:
     """Returns at most `wanted` positions of `count`, each from the middle of an equal part."""
     wanted = min(count, wanted)
     return ((np.arange(wanted) + 0.5) * count / wanted).astype(int).tolist()
@@ -17,9 +17,9 @@ def _spread(count: int, wanted: int) -> list[int]:
 def held_out_handful(data: HumanDataModule, wanted: int) -> list[Frame]:
     """Returns evenly spread held-out views; they go round the cameras and through time."""
     views = data.test_views
-    return [data.test_frame(*views[k]) for k in _spread(len(views), wanted)]
+    return [data.test_frame(*views[k]) for k in spread(len(views), wanted)]
 
 
 def training_handful(data: HumanDataModule, wanted: int) -> list[Frame]:
     """Returns evenly spread training views with their truth."""
-    return [data.train_frame(k) for k in _spread(len(data.train_indices), wanted)]
+    return [data.train_frame(k) for k in spread(len(data.train_indices), wanted)]

@@ -10,12 +10,15 @@ from torch import Tensor
 
 from occfusion.geometry.neighbours import nearest
 from occfusion.human.avatar import Avatar
-from occfusion.splat import Limits, rasterize
+from occfusion.splat import Limits, fitting_backend, rasterize
 from occfusion.splat.harmonics import SH_C0
 from occfusion.types import Frame
 
 ENOUGH = 4.0
-"""Pixels, summed over frames, from which on a Gaussian's own colour counts more than that of its neighbours."""
+"""Pixels, summed over frames, from which on a Gaussian's own colour counts more than that of its neighbours.
+
+Half of the Gaussians that are seen at all have enough: few pixels for many Gaussians leave no better ones to ask.
+"""
 NEIGHBOURS = 6
 MIRROR_DISTANCE = 0.03
 """Metres that a neighbour on the other side of the body counts as farther away."""
@@ -37,10 +40,12 @@ class Accumulated:
     @property
     def seen(self) -> Tensor:
         """How well each Gaussian is known, `[N]`, 0 never seen .. 1 seen in many pixels."""
-        return self.weights / (self.weights + ENOUGH)
+        return self.weights / (self.weights + _enough(self.weights))
 
 
-def accumulate(avatar: Avatar, frames: Iterable[Frame], backend: str) -> Accumulated:
+def accumulate(
+    avatar: Avatar, frames: Iterable[Frame], backend: str, opacity: float | None = None
+) -> Accumulated:
     """Returns the colours that the visible pixels of `frames` show of the avatar's Gaussians.
 
     A picture is linear in the colours of its Gaussians. The gradient of its sum over the visible pixels is
@@ -51,16 +56,20 @@ def accumulate(avatar: Avatar, frames: Iterable[Frame], backend: str) -> Accumul
         avatar: posed for each frame; not changed.
         frames: with their visible masks.
         backend: rasteriser backend.
+        opacity: of all Gaussians, where the avatar has not learned its own yet; None: its own.
     """
     count = avatar.gaussians.num_gaussians
     means = avatar.gaussians.means.detach()
     weights, sums = means.new_zeros(count), means.new_zeros(count, 3)
+    backend = fitting_backend(backend, means.device)
     for frame in frames:
         with torch.no_grad():
-            carried = avatar.deform(frame.pose)
+            carried = avatar.deform(frame.pose.to(means.device))
             shade, opacities = avatar.brightness(carried), avatar.gaussians.opacities
+            if opacity is not None:
+                opacities = torch.full_like(opacities, opacity)
         colors = torch.zeros_like(carried.means).requires_grad_()
-        camera = frame.camera
+        camera = frame.camera.to(means.device)
         rgb = rasterize(
             carried.means, None, None, opacities, colors, camera.viewmat, camera.K, camera.width, camera.height,
             covariances=carried.covariances, backend=backend, limits=Limits(dilation=avatar.dilation),
@@ -75,6 +84,14 @@ def accumulate(avatar: Avatar, frames: Iterable[Frame], backend: str) -> Accumul
 
 
 @torch.no_grad()
+def paint_observed(avatar: Avatar, accumulated: Accumulated) -> None:
+    """Gives all Gaussians their accumulated colours, the same from all sides; changes the avatar's in place."""
+    gaussians = avatar.gaussians
+    gaussians.sh0.copy_(_as_harmonics(accumulated.colors.to(gaussians.sh0)))
+    gaussians.sh_rest.zero_()
+
+
+@torch.no_grad()
 def paint_unseen(avatar: Avatar, accumulated: Accumulated) -> None:
     """Gives what the video hardly shows the colour of what it shows nearby; changes the avatar's colours in place.
 
@@ -83,14 +100,24 @@ def paint_unseen(avatar: Avatar, accumulated: Accumulated) -> None:
     """
     gaussians = avatar.gaussians
     seen = accumulated.seen.to(gaussians.sh0)[:, None, None]
-    nearby = (accumulated.colors.to(gaussians.sh0) - 0.5) / SH_C0
-    gaussians.sh0.copy_(seen * gaussians.sh0 + (1.0 - seen) * nearby[:, None])
+    nearby = _as_harmonics(accumulated.colors.to(gaussians.sh0))
+    gaussians.sh0.copy_(seen * gaussians.sh0 + (1.0 - seen) * nearby)
     gaussians.sh_rest.mul_(seen)
+
+
+def _enough(weights: Tensor) -> float:
+    some = weights[weights > 0]
+    return min(ENOUGH, float(some.median())) if len(some) else ENOUGH
+
+
+def _as_harmonics(colors: Tensor) -> Tensor:
+    return ((colors - 0.5) / SH_C0)[:, None]
 
 
 def _with_neighbours(colors: Tensor, weights: Tensor, means: Tensor) -> Tensor:
     """Returns `colors` mixed with those of well-seen neighbours, the more so the less a Gaussian was seen itself."""
-    known = weights >= ENOUGH
+    enough = _enough(weights)
+    known = weights >= enough
     if not bool(known.any()):
         return torch.full_like(colors, 0.5)
     mirrored = means[known] * means.new_tensor([-1.0, 1.0, 1.0])
@@ -101,5 +128,5 @@ def _with_neighbours(colors: Tensor, weights: Tensor, means: Tensor) -> Tensor:
     # the scale is that of the nearest: far from all that was seen, the nearest still count most
     near = (-distances / (distances.amin(dim=1, keepdim=True) + 0.005)).exp() * weights[known][indices].sqrt()
     filled = (near[..., None] * colors[known][indices]).sum(dim=1) / near.sum(dim=1, keepdim=True)
-    share = (weights / (weights + ENOUGH))[:, None]
+    share = (weights / (weights + enough))[:, None]
     return share * colors + (1.0 - share) * filled

@@ -14,7 +14,7 @@ from occfusion.errors import NumericsError
 from occfusion.human.avatar import Avatar
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.priors.masks import Observation
-from occfusion.splat import Limits, rasterize
+from occfusion.splat import Limits, fitting_backend, rasterize
 from occfusion.types import Frame
 
 Picture = NDArray[np.float32]
@@ -77,7 +77,9 @@ def take_partial(
     avatar: Avatar, accumulated: Accumulated, frame: Frame, observation: Observation, backend: str
 ) -> Partial:
     """Returns a frame with the avatar rendered in its pose: in its own colours and in those of the video."""
-    cloud, camera = avatar(frame.pose, frame.camera.centre), frame.camera
+    device = avatar.gaussians.means.device
+    camera, backend = frame.camera.to(device), fitting_backend(backend, device)
+    cloud = avatar(frame.pose.to(device), camera.centre)
 
     def render(colors: torch.Tensor) -> tuple[Picture, Picture]:
         made = rasterize(

@@ -1,8 +1,8 @@
 """Differentiable splatting of 3D Gaussians: one stateless function and its backends."""
 
-from occfusion.splat.backends.registry import resolve_backend
+from occfusion.splat.backends.registry import fitting_backend, resolve_backend
 from occfusion.splat.limits import Limits
 from occfusion.splat.rasterize import rasterize
 from occfusion.splat.warm_up import warm_up
 
-__all__ = ["Limits", "rasterize", "resolve_backend", "warm_up"]
+__all__ = ["Limits", "fitting_backend", "rasterize", "resolve_backend", "warm_up"]

@@ -163,6 +163,7 @@ class OptimSettings(AvatarSettings):
         sh_frame: see `Avatar`.
         dilation: of the splats in pictures, square pixels; 3DGS: 0.3. Its pictures and the refinement's have the same.
         thickness: of the Gaussians at the start, which then lie flat on the body, m; 0: they are round.
+        observed_colors: Gaussians start with the colours that the video shows, instead of grey; the paper: grey.
         key_light: estimate a lamp from the video, by which colours change as surfaces turn; the paper has none.
         refine_pose: GauHuman's network of pose corrections.
         pose_knots: training frames from one knot to the next of the corrections frame by frame; 0: none.
@@ -181,6 +182,7 @@ class OptimSettings(AvatarSettings):
     sh_frame: str = "canonical"
     dilation: float = Limits.dilation
     thickness: float = 0.0
+    observed_colors: bool = False
     key_light: bool = False
     refine_pose: bool = True
     pose_knots: int = 4
@@ -192,9 +194,13 @@ class OptimSettings(AvatarSettings):
 def as_in_3dgs(settings: OptimSettings) -> OptimSettings:
     """Returns the settings with Gaussians that start and are drawn as in 3DGS, under even light."""
     plain = OptimSettings()
-    rates = replace(settings.rates, scales=plain.rates.scales)
     return replace(
-        settings, dilation=plain.dilation, thickness=plain.thickness, key_light=plain.key_light, rates=rates
+        settings,
+        dilation=plain.dilation,
+        thickness=plain.thickness,
+        observed_colors=plain.observed_colors,
+        key_light=plain.key_light,
+        rates=replace(settings.rates, scales=plain.rates.scales),
     )
 
 

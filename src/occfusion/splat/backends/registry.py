@@ -16,6 +16,8 @@ from occfusion.splat.request import Request
 logger = logging.getLogger(__name__)
 
 BACKENDS = ("auto", "torch", "numba", "gsplat")
+DEVICES = {"numba": "cpu", "gsplat": "cuda"}
+"""Where a backend runs; torch's runs anywhere."""
 
 
 def resolve_backend(name: str, device: torch.device, dtype: torch.dtype = torch.float32) -> str:
@@ -28,7 +30,7 @@ def resolve_backend(name: str, device: torch.device, dtype: torch.dtype = torch.
         raise ConfigError(f"rasterizer backend {name!r} is unknown; choose one of {', '.join(BACKENDS)}")
     if name == "auto":
         return _best_backend(device.type, dtype)
-    wanted = {"numba": "cpu", "gsplat": "cuda"}.get(name)
+    wanted = DEVICES.get(name)
     if wanted is not None and (device.type != wanted or dtype != torch.float32):
         raise ConfigError(
             f"rasterizer backend {name!r} takes float32 on {wanted}, got {dtype} on {device};"
@@ -38,6 +40,14 @@ def resolve_backend(name: str, device: torch.device, dtype: torch.dtype = torch.
         extra = "occfusion[gpu]" if name == "gsplat" else "numba"
         raise ConfigError(f"rasterizer backend {name!r} is not installed; install {extra}, or use 'torch'")
     return name
+
+
+def fitting_backend(name: str, device: torch.device) -> str:
+    """Returns `name` where it runs on a device, else the best backend there.
+
+    For pictures outside training, which are made where the avatar is: on the host, between stages.
+    """
+    return resolve_backend(name if DEVICES.get(name, device.type) == device.type else "auto", device)
 
 
 @cache

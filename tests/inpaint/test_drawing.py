@@ -1,4 +1,4 @@
-"""An avatar is drawn with the dilation that it was trained with, wherever it is drawn."""
+"""An avatar is drawn with the dilation that it was trained with, wherever it is drawn, and where it is."""
 
 from __future__ import annotations
 
@@ -62,3 +62,18 @@ def test_every_picture_of_an_avatar_has_its_dilation(frame: Frame, dilation: flo
     stage = OptimStage(avatar, settings, perceptual=None, densifier=None, backend="torch", seed=0)
     rendering, (x, y, width, height) = stage._render_crop(frame)
     torch.testing.assert_close(rendering.alpha.detach(), want[y : y + height, x : x + width])
+
+
+def test_between_stages_pictures_are_made_on_the_host_whatever_trains(frame: Frame) -> None:
+    """A run on a GPU trains with gsplat; its avatar is back on the host when it is painted, traced and evaluated."""
+    avatar = Avatar(embedded_body(), dilation=0.1).eval()
+    observation = replace(made_up_partial(SIZE).observation, camera=frame.camera)
+    accumulated = [accumulate(avatar, [frame], backend) for backend in ("auto", "gsplat")]
+    assert torch.equal(accumulated[0].weights, accumulated[1].weights)
+    pictures = [render_frame(avatar, frame, backend).rgb for backend in ("auto", "gsplat")]
+    assert torch.equal(pictures[0], pictures[1])
+    assert torch.equal(outline(avatar, frame, "auto"), outline(avatar, frame, "gsplat"))
+    taken = [
+        take_partial(avatar, accumulated[0], frame, observation, backend) for backend in ("auto", "gsplat")
+    ]
+    assert (taken[0].coarse == taken[1].coarse).all()
