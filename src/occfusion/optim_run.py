@@ -9,7 +9,7 @@ from occfusion.data.module import HumanDataModule
 from occfusion.human import Avatar
 from occfusion.inpaint.accumulation import accumulate, paint_observed
 
-FRAMES = 50
+FRAMES = 200
 """At most, of those that are looked at."""
 OPACITY = 0.95
 """Of discs on the body that are to hide what lies behind them."""
