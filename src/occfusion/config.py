@@ -216,6 +216,7 @@ def _check_choices(settings: Settings) -> None:
     _check_range("optim.thickness", settings.optim.thickness, 0.0, 0.05)
     _check_range("refine.mask_hidden", settings.refine.mask_hidden, 0.0, 1.0)
     _check_range("refine.mask_hidden_fitting", settings.refine.mask_hidden_fitting, 0.0, 1.0)
+    _check_range("refine.mask_outline", settings.refine.mask_outline, 0.0, 1.0)
     _check_in("refine.mask_target", settings.refine.mask_target, ("outline", "complete"))
     _check_in("refine.lpips_pixels", settings.refine.lpips_pixels, ("visible", "all"))
     _check_in("perceptual.precision", settings.perceptual.precision, PRECISIONS)

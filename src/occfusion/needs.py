@@ -205,7 +205,7 @@ def hidden_mask_decision(stage: str, settings: Settings, moments: Sequence[Momen
         reason += "; poses fit as given, so complete masks do"
     is_replaced = stage == "refine" and _mask_target(settings, moments) == "outline"
     if is_replaced:
-        reason = "poses fit as given: the avatar's own outline takes the place of complete masks there"
+        reason = f"poses fit as given: the avatar's own outline takes the place of complete masks, weight {weight:g}"
     if moments is not None and not _occluded(moments):
         return Decision(part, False, _hidden_reason(moments))
     return Decision(part, weight == 1.0 and not is_replaced, reason)
@@ -222,7 +222,7 @@ def _hidden_mask_weights(settings: Settings, moments: Sequence[Moment] | None) -
         return own, 1.0
     doubted = refine.mask_hidden_fitting if poses_fit(moments) else refine.mask_hidden
     is_whole = _may_leave_out(settings) and "refine" in settings.variant.stages
-    refined = 1.0 if _mask_target(settings, moments) == "outline" else doubted
+    refined = refine.mask_outline if _mask_target(settings, moments) == "outline" else doubted
     return (min(own, doubted) if is_whole else own), refined
 
 

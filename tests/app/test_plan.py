@@ -181,7 +181,8 @@ def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
     complete = "refine.mask_target=complete"
     fitting = frames(*[0.5] * 8, *[0.0] * 12)  # enough whole people to see that their poses fit
     for overrides, weights in (
-        ((), (0.2, 1.0)),  # in the refinement what is hidden is held to the avatar's own outline
+        ((), (0.2, 0.1)),  # in the refinement what is hidden is held to the avatar's own outline
+        (("refine.mask_outline=0.5",), (0.2, 0.5)),
         ((complete,), (0.2, 0.2)),
         ((complete, "refine.mask_hidden_fitting=1"), (1.0, 1.0)),
         ((complete, "refine.mask_hidden=0.5"), (0.2, 0.2)),

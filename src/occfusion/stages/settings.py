@@ -214,7 +214,8 @@ class RefineSettings(AvatarSettings):
         mask_hidden: weight of complete masks in the mask term where the person may be hidden, 0..1; the paper: 1.
         mask_hidden_fitting: the same where poses fit as given, and complete masks with them.
         mask_target: what the mask term holds these pixels to: `outline`: where poses fit as given, the avatar's own at
-            the hand-over, with a weight of 1; `complete`: the complete masks, as in the paper, with the weights above.
+            the hand-over; `complete`: the complete masks, as in the paper, with the weights above.
+        mask_outline: weight of the own outline, 0..1.
         gen_pixels: where references count: `unseen`: where the paper's R shows what no frame of the video does;
             `hidden`: in all of R.
         lpips_pixels: what the SSIM and perceptual terms look at: `visible`; `all`: at those pixels of the
@@ -225,6 +226,7 @@ class RefineSettings(AvatarSettings):
     mask_hidden: float = 0.0
     mask_hidden_fitting: float = 0.2
     mask_target: str = "outline"
+    mask_outline: float = 0.1
     gen_pixels: str = "unseen"
     lpips_pixels: str = "visible"
     steps: int = 1800
