@@ -37,7 +37,7 @@ from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.settings import AvatarSettings, SdsSettings, as_in_3dgs
-from occfusion.stages.targets import Doubts, Masks
+from occfusion.stages.targets import Doubts
 
 WARM_UP_SAID = 0.05
 """Seconds from which on the user is told of the rasteriser's warming up."""
@@ -206,10 +206,7 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
     doubts = _doubts(run_)
     doubtful = [k for k, moment in enumerate(run_.moments) if moment.frame in doubts.hidden]
     frames = (run_.data.train_frame(k, truth=False) for k in doubtful)
-    outlines: Masks = {}
-    if refine.mask_target == "outline":
-        outlines = own_outlines(run_.avatar, frames, run_.backend)
-        doubts = replace(doubts, unasked={})  # no prior is asked for an outline
+    outlines = own_outlines(run_.avatar, frames, run_.backend) if refine.mask_target == "outline" else {}
     run_.avatar.gaussians.allocate_bands(planning.refined_sh_degree(settings))
     stage = RefineStage(
         run_.avatar,

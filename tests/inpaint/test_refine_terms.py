@@ -132,23 +132,27 @@ def test_mask_term_counts_what_is_neither_seen_nor_background_as_asked(
 
 
 @pytest.mark.parametrize("gen_pixels", ["unseen", "hidden"])
+@pytest.mark.parametrize("hidden", [0.0, 0.1, 1.0])
 def test_mask_term_holds_what_is_in_doubt_to_an_outline(
-    frame: Frame, references: References, gen_pixels: str
+    frame: Frame, references: References, hidden: float, gen_pixels: str
 ) -> None:
     outline = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(1)) > 0.5
     alpha = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(0))
     rendering = Rendering(torch.zeros(SIZE, SIZE, 3), alpha, torch.zeros(SIZE, SIZE), torch.zeros(0, 2))
     complete = mask_of(SEEN) | mask_of(PAINTED)
-    wanted = outline.clone()
+    wanted, weights = outline.clone(), torch.full((SIZE, SIZE), hidden)
     wanted[SEEN], wanted[ELSEWHERE] = True, False
+    weights[SEEN] = weights[ELSEWHERE] = 1.0
     if gen_pixels == "unseen":
-        wanted[PAINTED] = True
-    for index, target in ((7, wanted), (8, complete)):  # nothing is in doubt in frame 8
+        wanted[PAINTED], weights[PAINTED] = True, 1.0
+    # nothing is in doubt in frame 8
+    for index, target, counts in ((7, wanted, weights), (8, complete, torch.ones_like(weights))):
         other = dataclasses.replace(frame, index=index)
         outlines = {7: outline.numpy(), 8: outline.numpy()}
-        stage = stage_of(references, outlines, mask_hidden=1.0, gen_pixels=gen_pixels)
+        stage = stage_of(references, outlines, mask_hidden=hidden, gen_pixels=gen_pixels)
         term = stage.terms(other, rendering, BOX)["mask"]
-        assert float(term) == pytest.approx(float((alpha - target.float()).square().mean()), rel=1e-5)
+        squares = counts * (alpha - target.float()).square()
+        assert float(term) == pytest.approx(float(squares.mean()), rel=1e-5)
 
 
 def test_unseen_is_what_the_video_shows_little_of() -> None:

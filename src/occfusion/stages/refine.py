@@ -24,7 +24,8 @@ class RefineStage(AvatarStage):
         settings: weights, schedules and rates.
         references: the inpainted frames; a frame without one shows the whole person.
         doubts: where complete masks may be wrong.
-        outlines: the avatar's own at the hand-over, which the mask term holds it to there; empty: to complete masks.
+        outlines: the avatar's own at the hand-over, which the mask term holds it to there, also where no prior was
+            asked; empty: to complete masks.
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
         densifier: densification; None exactly when `settings.densify` is false.
         backend: rasteriser backend.
@@ -54,7 +55,8 @@ class RefineStage(AvatarStage):
         )  # fmt: skip
         self.settings = settings
         self.references = references
-        self.doubts, self.outlines = doubts, outlines
+        # no prior is asked for an outline
+        self.doubts, self.outlines = Doubts(doubts.hidden) if outlines else doubts, outlines
 
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.3: L1 on M, L2 of the occupancy, L1 on R, and the perceptual one.
