@@ -206,7 +206,8 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
     doubts = _doubts(run_)
     doubtful = [k for k, moment in enumerate(run_.moments) if moment.frame in doubts.hidden]
     frames = (run_.data.train_frame(k, truth=False) for k in doubtful)
-    outlines = own_outlines(run_.avatar, frames, run_.backend) if refine.mask_target == "outline" else {}
+    is_held = refine.mask_target == "outline" and refine.mask_hidden > 0
+    outlines = own_outlines(run_.avatar, frames, run_.backend) if is_held else {}
     run_.avatar.gaussians.allocate_bands(planning.refined_sh_degree(settings))
     stage = RefineStage(
         run_.avatar,
