@@ -10,6 +10,7 @@ from hydra.errors import HydraException
 from occfusion.config import Settings, load_settings, settings_hash, stages_to_run
 from occfusion.data import OcclusionSettings
 from occfusion.errors import ConfigError
+from occfusion.human.densify import Densification
 from occfusion.stages.settings import SdsSettings
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -153,6 +154,10 @@ def test_presets_of_score_distillation() -> None:
     assert (code.lambda_pose, code.lambda_can, code.reduction, code.schedule) == (20, 20, "sum", "annealed")
     assert settings_of("variant=C", "sds=paper").optim.sds.lambda_can == 0
     assert settings_of("variant=D", "sds=code", "optim.sds.lambda_can=3").optim.sds.lambda_can == 3
+
+
+def test_refinement_as_in_the_paper_densifies_as_gauhuman_does() -> None:
+    assert settings_of("variant=E", "refine=paper").refine.densification == Densification()
 
 
 def test_distillation_is_no_part_of_a_run_without_it() -> None:

@@ -231,7 +231,7 @@ class RefineSettings(AvatarSettings):
     lpips_pixels: str = "visible"
     steps: int = 1800
     lambda_rgb: float = 1.0
-    lambda_mask: float = 4.0
+    lambda_mask: float = 2.0
     lambda_gen: float = 0.1
     lambda_lpips: float = 0.1
     lambda_ssim: float = 0.2
