@@ -54,15 +54,15 @@ def _legendre_over_sine(l: int, m: int, z: Tensor) -> Tensor:
 
 
 def render(means, quats, scales, opacities, colors, viewmat, K, width, height, background=None, sh_degree=None,
-           covariances=None, screen_offsets=None, antialiased=False, near=0.01):  # fmt: skip
+           covariances=None, screen_offsets=None, antialiased=False, near=0.01, dilation=DILATION):  # fmt: skip
     """(rgb, alpha, depth) with autograd through every line."""
     flat = project(means, quats, scales, opacities, colors, viewmat, K, width, height, sh_degree, covariances,
-                   screen_offsets, antialiased, near)  # fmt: skip
+                   screen_offsets, antialiased, near, dilation)  # fmt: skip
     return blend(*flat, width, (0, height), background)
 
 
 def project(means, quats, scales, opacities, colors, viewmat, K, width, height, sh_degree=None, covariances=None,
-            screen_offsets=None, antialiased=False, near=0.01):  # fmt: skip
+            screen_offsets=None, antialiased=False, near=0.01, dilation=DILATION):  # fmt: skip
     """Centres [M, 2], conics [M, 2, 2], opacities, colours [M, 3] and depths of what is in front, nearest first."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     R, t = viewmat[:3, :3], viewmat[:3, 3]
@@ -88,7 +88,7 @@ def project(means, quats, scales, opacities, colors, viewmat, K, width, height, 
             root = rotation(quats[i]) @ torch.diag(scales[i])
             sigma = root @ root.T
         flat = J @ R @ sigma @ R.T @ J.T
-        plane = flat + DILATION * torch.eye(2, dtype=means.dtype)
+        plane = flat + dilation * torch.eye(2, dtype=means.dtype)
         opacity = opacities[i]
         if antialiased:
             opacity = opacity * torch.sqrt(torch.linalg.det(flat) / torch.linalg.det(plane))
