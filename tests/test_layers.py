@@ -39,6 +39,7 @@ LAYERS = [
         "refine_run",
         "run_objects",
         "avatar_run",
+        "coarse_run",
         "prior_run",
         "recipes",
         "report",
@@ -53,7 +54,15 @@ LEVEL = {part: level for level, parts in enumerate(LAYERS) for part in parts}
 
 # heavy or optional libraries, and the only parts that may import them when they are themselves imported
 AT_TOP_LEVEL_ONLY_IN = {
-    "lightning": {"data/module.py", "stages", "app.py", "avatar_run.py", "prior_run.py", "cli"},
+    "lightning": {
+        "data/module.py",
+        "stages",
+        "app.py",
+        "avatar_run.py",
+        "coarse_run.py",
+        "prior_run.py",
+        "cli",
+    },
     "hydra": {"cli", "app.py", "compose.py"},
     "diffusers": set(),
     "transformers": set(),
@@ -78,7 +87,16 @@ ANYWHERE_ONLY_IN = {
         "runfolder.py",
         "compare/reading.py",
     },
-    "lightning": {"data/module.py", "stages", "app.py", "avatar_run.py", "prior_run.py", "cli", "config.py"},
+    "lightning": {
+        "data/module.py",
+        "stages",
+        "app.py",
+        "avatar_run.py",
+        "coarse_run.py",
+        "prior_run.py",
+        "cli",
+        "config.py",
+    },
     "stlpips_pytorch": set(),
     "torchvision": set(),
 }

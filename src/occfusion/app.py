@@ -9,7 +9,8 @@ from typing import Any
 import lightning as L
 from omegaconf import DictConfig
 
-from occfusion.avatar_run import run_stages, train_coarse
+from occfusion.avatar_run import run_stages
+from occfusion.coarse_run import train_coarse
 from occfusion.config import PRIOR_STAGE, load_settings, stages_to_run
 from occfusion.evaluation_run import evaluate_run
 from occfusion.finished import finished_in, record_finished

@@ -11,7 +11,7 @@ from typing import Any
 import lightning as L
 
 from occfusion import plan as planning
-from occfusion.config import Named, Settings, VariantSettings, optim_hash
+from occfusion.config import Settings, optim_hash
 from occfusion.data.handful import held_out_handful
 from occfusion.evaluation_run import evaluation_metric
 from occfusion.files.atomic import write_json
@@ -22,9 +22,8 @@ from occfusion.needs import as_planned
 from occfusion.optim_run import start_as_observed
 from occfusion.priors.registry import make_score_prior
 from occfusion.processes import is_helper, tell_helpers
-from occfusion.recipes.appearance import Coarse, CoarseScene
 from occfusion.refine_run import file_digest, make_references, own_outlines
-from occfusion.run_objects import Run, compose_run, device_of
+from occfusion.run_objects import Run, device_of
 from occfusion.sharing import offer, shared_folder, sole_maker, take
 from occfusion.splat import warm_up
 from occfusion.stages.avatar import AvatarStage
@@ -36,7 +35,7 @@ from occfusion.stages.optim import OptimStage
 from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.refine import RefineStage
-from occfusion.stages.settings import AvatarSettings, SdsSettings, as_in_3dgs
+from occfusion.stages.settings import AvatarSettings
 from occfusion.stages.targets import Doubts
 
 WARM_UP_SAID = 0.05
@@ -56,35 +55,6 @@ def run_stages(run_: Run) -> None:
             _complete_masks(run_)
         else:
             _run_stage(run_, stage)
-
-
-def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse:
-    """Trains the coarse avatar of a scene of the inpainter's corpus, or takes up one trained before.
-
-    Args:
-        settings: of the training of the prior; those of the avatar's stages are taken from it.
-        scene: whose avatar.
-        folder: of its run.
-    """
-    occlusion = {**settings.dataset.get("occlusion", {}), "kind": scene.occlusion, "share": scene.share}
-    dataset = {**settings.dataset, "scene": scene.scene, "cameras": 2, "occlusion": occlusion}
-    own = replace(
-        settings,
-        stage=Named("optim"),
-        variant=VariantSettings("B", ["init", "optim"]),
-        dataset=dataset,
-        # one Gaussian on each vertex, as the whole system starts, but plain ones, as the embedded weights were trained
-        optim=replace(as_in_3dgs(settings.optim), sds=SdsSettings(), gaussians=0),
-        evaluation=replace(settings.evaluation, curve=False, perceptual=False),
-        seed=scene.seed,
-        output_dir=str(folder),
-    )
-    run_ = compose_run(own, folder_chosen_by_user=True)
-    assert run_.moments is not None
-    run_stages(run_)
-    positions = range(len(run_.data.train_indices))
-    frames = [run_.data.train_frame(k, complete="init" in run_.stages) for k in positions]
-    return Coarse(run_.avatar.eval(), frames, run_.moments, run_.backend)
 
 
 def _complete_masks(run_: Run) -> None:

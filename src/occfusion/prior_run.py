@@ -14,7 +14,7 @@ import lightning as L
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
-from occfusion.config import Settings
+from occfusion.config import Settings, optim_hash
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.files.table import write_table
@@ -52,8 +52,9 @@ def run_prior_training(
     identity = hashlib.sha256(json.dumps(asdict(training), sort_keys=True).encode()).hexdigest()[:16]
     folder = claim_run_folder(settings, identity, chosen_by_user=folder_chosen_by_user)
     place = Path(training.corpus) if training.corpus else folder / "corpus"
-    recipe = _make_recipe(training, place, settings.seed, train_coarse)
+    recipe = _make_recipe(training, place, settings, train_coarse)
     recipe.prepare()
+    L.seed_everything(settings.seed, verbose=False)  # the same network whether the corpus was there or not
     stage = PriorStage(recipe.make_net(), training, seed=settings.seed)
     guard = SignalGuard()
     curve = PriorCurve(folder / "error_vs_time.csv", training, recipe)
@@ -83,19 +84,21 @@ def run_prior_training(
         "validation": curve.last | figures,
         "data": recipe.data,
     }
-    save_net(folder / WEIGHTS, trained, recipe.kind, recipe.size, training.widths, training.depth, card)
+    save_net(
+        folder / WEIGHTS, trained, recipe.kind, recipe.size, training.widths, training.depth, card, recipe.version
+    )  # fmt: skip
     write_json(folder / "card.json", card)
     print(f"weights: {folder / WEIGHTS}")
     return card
 
 
 def _make_recipe(
-    training: PriorTrainingSettings, place: Path, seed: int, train_coarse: TrainCoarse
+    training: PriorTrainingSettings, place: Path, settings: Settings, train_coarse: TrainCoarse
 ) -> Recipe[Any]:
     if training.network == SilhouetteRecipe.kind:
-        return SilhouetteRecipe(training, place, seed)
+        return SilhouetteRecipe(training, place, settings.seed)
     if training.network == AppearanceRecipe.kind:
-        return AppearanceRecipe(training, place, seed, train_coarse)
+        return AppearanceRecipe(training, place, settings.seed, optim_hash(settings), train_coarse)
     raise ConfigError(f"prior_training.network={training.network!r}: choose silhouette or appearance")
 
 

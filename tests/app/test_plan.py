@@ -11,7 +11,6 @@ from occfusion.priors.consistency import Motion
 from occfusion.priors.evidence import HIDDEN_SHARE, Evidence
 from occfusion.priors.key_light import KeyLight
 from occfusion.priors.moments import Moment
-from occfusion.stages.settings import as_in_3dgs
 
 SUMMARY = {"occluded_frames": 0, "frames": 12}
 
@@ -229,8 +228,3 @@ def test_a_lamp_is_used_where_it_explains_what_changes(
     (decision,) = (d for d in plan if d.part == "key light")
     assert decision.used == lit
     assert found is None or f"{found.explained:.0%}" in decision.reason
-
-
-def test_coarse_avatars_of_the_inpainters_corpus_are_as_in_3dgs() -> None:
-    whole, plain = settings_of("variant=E").optim, settings_of("variant=D").optim
-    assert as_in_3dgs(whole) == plain != whole

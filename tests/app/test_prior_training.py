@@ -9,16 +9,27 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
-from occfusion.errors import ConfigError
-from occfusion.inpaint.planes import PLANES, SIZE
+from occfusion.errors import ConfigError, DataError
+from occfusion.inpaint.partial import Partial, Picture
+from occfusion.inpaint.planes import COARSE, DEPTH, PLANES, SIZE, VISIBLE, take_planes
+from occfusion.inpaint.sources import CoarsePictures
 from occfusion.inpaint.weights import load_appearance_net
-from occfusion.priors.weights import load_silhouette_net
-from occfusion.recipes.appearance import AppearanceRecipe, coarse_scenes
+from occfusion.priors.weights import load_silhouette_net, save_net
+from occfusion.recipes.appearance import VERSION, AppearanceRecipe, coarse_scenes
 from occfusion.stages.settings import PriorTrainingSettings
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 TINY = ("stage=prior", "prior_training.widths=[8,16]", "prior_training.depth=1")
+
+
+def small_scene(tmp_path: Path) -> list[str]:
+    """An embedded person in five frames of 64 pixels, two steps of optimisation."""
+    return [
+        "dataset=synthetic", "body=anny", "body.path=null", "dataset.image_size=64", "dataset.frames=5",
+        f"dataset.root={tmp_path / 'made'}", "optim.steps=2", "dataset.test_frames=null",
+    ]  # fmt: skip
 
 
 def test_the_silhouette_recipe_ends_in_weights(train: Train) -> None:
@@ -31,16 +42,15 @@ def test_the_silhouette_recipe_ends_in_weights(train: Train) -> None:
 def test_the_appearance_recipe_trains_its_coarse_avatars_once(
     tmp_path: Path, train: Train, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    options = [*TINY, "prior_training=appearance", "prior_training.subjects=1", "prior_training.batch=2"]
-    options += [
-        "dataset=synthetic",
-        "body=anny",
-        "body.path=null",
-        "dataset.image_size=64",
-        "dataset.frames=5",
+    options = [
+        *TINY,
+        *small_scene(tmp_path),
+        "prior_training=appearance",
+        "prior_training.subjects=1",
+        "variant=B",
     ]
-    options += [f"dataset.root={tmp_path / 'made'}", "optim.steps=2", "dataset.test_frames=null"]
-    folder, card = train(*options, "prior_training.steps=2", "trainer.fast_dev_run=false")
+    options += ["prior_training.batch=2", "prior_training.steps=2"]
+    folder, card = train(*options, "trainer.fast_dev_run=false")
     net, _ = load_appearance_net(folder / "prior.safetensors")
     assert torch.isfinite(
         net(torch.zeros(1, 3, 16, 16), torch.ones(1), torch.zeros(1, len(PLANES), 16, 16))
@@ -56,7 +66,49 @@ def test_the_appearance_recipe_trains_its_coarse_avatars_once(
         raise AssertionError("a coarse avatar was trained again")
 
     monkeypatch.setattr("occfusion.app.train_coarse", fail)
-    train(*options, "prior_training.steps=2")
+    train(*options)
+
+
+class Recorder(CoarsePictures):
+    """Keeps what the refinement asks about."""
+
+    def __init__(self) -> None:
+        self.planes: dict[str, NDArray[np.float32]] = {}
+
+    def inpaint(self, partial: Partial) -> Picture:
+        self.planes[partial.observation.name] = take_planes(partial)[1]
+        return partial.coarse
+
+
+def test_the_corpus_shows_what_the_refinement_asks_about(
+    tmp_path: Path, train: Train, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Coarse renderings of the corpus are those of the variant that refines: its optimisation, its hand-over."""
+    folder, _ = train(
+        *TINY, *small_scene(tmp_path), "prior_training=appearance", "prior_training.subjects=1", "variant=E",
+        "prior_training.batch=2", "prior_training.steps=1", folder="prior",
+    )  # fmt: skip
+    (scene,) = coarse_scenes(1)
+    shard = np.load(folder / "corpus" / scene.scene / "planes.npy")
+    recorder = Recorder()
+    monkeypatch.setattr("occfusion.refine_run._make_inpainter", lambda *_: recorder)
+    how = {"kind": scene.occlusion, "share": scene.share, "fraction": scene.fraction}
+    train(
+        *small_scene(tmp_path), "variant=E", "stage=refine", "refine.steps=1", "dataset.cameras=2",
+        f"dataset.scene={scene.scene}", f"dataset.train_frames=[0,{scene.frames},1]", f"seed={scene.seed}",
+        *(f"dataset.occlusion.{key}={value}" for key, value in how.items()), "dataset.test_frames=[0,1,1]",
+        "evaluation.curve=false", folder="whole",
+    )  # fmt: skip
+    asked = np.stack([recorder.planes[name] for name in sorted(recorder.planes)])
+    asked[:, DEPTH] = 0.5 * (asked[:, DEPTH] + 1.0)
+    assert len(asked) == len(shard) > 0
+    assert (asked[:, VISIBLE] < 0.5).any() and asked[:, COARSE].max() > 0.2
+    np.testing.assert_allclose(shard / 255.0, asked, atol=0.51 / 255.0)
+
+
+def test_a_variant_that_inpaints_nothing_has_no_corpus(tmp_path: Path, train: Train) -> None:
+    with pytest.raises(ConfigError, match="variant A completes no masks"):
+        train(*TINY, *small_scene(tmp_path), "prior_training=appearance", "variant=A")
 
 
 def test_other_settings_are_another_run(train: Train) -> None:
@@ -79,7 +131,7 @@ def test_validation_subjects_are_not_trained_on(tmp_path: Path) -> None:
         raise AssertionError
 
     settings = PriorTrainingSettings(network="appearance", batch=8, subjects=3)
-    recipe = AppearanceRecipe(settings, tmp_path, 0, fail)  # type: ignore[arg-type]
+    recipe = AppearanceRecipe(settings, tmp_path, 0, "same", fail)  # type: ignore[arg-type]
     for number, scene in enumerate(coarse_scenes(3)):
         shard = tmp_path / scene.scene
         shard.mkdir()
@@ -87,8 +139,25 @@ def test_validation_subjects_are_not_trained_on(tmp_path: Path) -> None:
         np.save(shard / "planes.npy", planes)
         np.save(shard / "truth.npy", planes[:, :3])
         np.save(shard / "mask.npy", planes[:, 0])
-        identity = {"version": 1, "size": SIZE, **vars(scene)}
+        identity = {"version": VERSION, "size": SIZE, "made_by": "same", **vars(scene)}
         (shard / "shard.json").write_text(json.dumps(identity))
     recipe.prepare()
     for step in range(4):
         assert (recipe.batch(step).conditions[:, 3] > 0.5).all()
+    stranger = AppearanceRecipe(settings, tmp_path, 0, "other", fail)  # type: ignore[arg-type]
+    with pytest.raises(AssertionError):
+        stranger.prepare()
+
+
+def test_weights_of_another_version_are_refused(tmp_path: Path) -> None:
+    """Weights that were trained for another signal would paint wrong colours without a word."""
+    net, card = load_appearance_net()
+    card = {key: value for key, value in card.items() if key != "sha256"}
+    path = tmp_path / "old.safetensors"
+    save_net(path, net, "appearance", SIZE, card["widths"], card["depth"], card, version=1)
+    with pytest.raises(
+        DataError, match=r"old.safetensors: weights of version 1 of the appearance prior.* version 2"
+    ):
+        load_appearance_net(path)
+    save_net(path, net, "appearance", SIZE, card["widths"], card["depth"], card, version=2)
+    load_appearance_net(path)

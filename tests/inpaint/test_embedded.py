@@ -12,11 +12,22 @@ from torch.testing import assert_close
 
 from made_up_person import made_up_observation
 from occfusion.errors import NumericsError
-from occfusion.inpaint.batches import WINDOW, make_batch, whole_batch
+from occfusion.inpaint.batches import REGION_WEIGHT, WINDOW, make_batch, region_of, unseen_of, whole_batch
 from occfusion.inpaint.corpus import Example, as_floats
-from occfusion.inpaint.network import GAIN, AppearanceNet, from_signal, to_signal
-from occfusion.inpaint.partial import SOLID, Inpainter, Partial, Picture, checked_picture
-from occfusion.inpaint.planes import COARSE, COMPLETE, DEPTH, OBSERVED, PLANES, SIZE, VISIBLE, take_planes
+from occfusion.inpaint.network import KNEE, AppearanceNet, from_signal, to_signal
+from occfusion.inpaint.partial import KNOWN, SOLID, Inpainter, Partial, Picture, checked_picture
+from occfusion.inpaint.planes import (
+    ALPHA,
+    COARSE,
+    COMPLETE,
+    DEPTH,
+    OBSERVED,
+    PLANES,
+    SEEN,
+    SIZE,
+    VISIBLE,
+    take_planes,
+)
 from occfusion.inpaint.sources import CoarsePictures
 
 
@@ -87,10 +98,22 @@ def test_planes_show_what_they_are_named_after() -> None:
 
 
 def test_the_signal_holds_the_difference() -> None:
-    planes = torch.rand(2, len(PLANES), 8, 8)
-    truth = (planes[:, COARSE] + 0.4 / GAIN * torch.randn(2, 3, 8, 8).clamp(-1, 1)).clamp(0, 1)
+    planes = torch.rand(2, len(PLANES), 8, 8, dtype=torch.float64)
+    truth = torch.rand(2, 3, 8, 8, dtype=torch.float64)
+    truth[0, 0, 0] = planes[0, 0, 0]
     assert_close(planes[:, COARSE] + from_signal(to_signal(truth, planes)), truth)
-    assert to_signal(planes[:, COARSE] + 10.0, planes).max() == 1.0
+    black, white = torch.zeros_like(planes), torch.ones_like(planes)
+    assert_close(to_signal(white[:, :3], black), white[:, :3])
+    assert_close(to_signal(black[:, :3], white), -white[:, :3])
+
+
+def test_small_differences_are_not_small_signals() -> None:
+    planes = torch.zeros(1, len(PLANES), 1, 4)
+    truth = torch.tensor([0.0, KNEE, 2.0 * KNEE, 0.5]).expand(1, 3, 1, 4)
+    signal = to_signal(truth, planes)[0, 0, 0]
+    assert signal[0] == 0.0 and signal[1] > 0.15 and (signal.diff() > 0).all()
+    # half the range has most of the signal: what a wrong outline leaves does not outweigh all else
+    assert signal[3] > 0.8
 
 
 def test_the_network_listens_to_its_planes() -> None:
@@ -122,11 +145,29 @@ def test_batches_are_windows_about_hidden_pixels_and_repeat() -> None:
     batch = make_batch(examples, np.random.default_rng(1))
     assert batch.clean.shape == (6, 3, WINDOW, WINDOW) and batch.clean.abs().max() <= 1.0
     assert batch.conditions.shape == (6, len(PLANES), WINDOW, WINDOW)
-    assert (batch.weight.amax(dim=(1, 2, 3)) == 1.0).all(), "each window holds hidden pixels"
+    assert (batch.weight.amax(dim=(1, 2, 3)) >= REGION_WEIGHT).all(), "each window holds pixels of R"
     again = make_batch(examples, np.random.default_rng(1))
     assert torch.equal(batch.clean, again.clean) and torch.equal(batch.conditions, again.conditions)
     other = make_batch(examples, np.random.default_rng(2))
     assert not torch.equal(batch.conditions, other.conditions)
+
+
+def test_what_no_frame_shows_weighs_most() -> None:
+    example = make_example()
+    partial_seen = np.where(np.arange(SIZE) < SIZE // 4, 250, 3).astype(np.uint8)
+    example.planes[ALPHA] = np.where(np.arange(SIZE)[:, None] < SIZE // 2, 255, 0)
+    example.planes[SEEN] = partial_seen
+    batch = whole_batch([example])
+    weight, planes = batch.weight[0, 0], batch.conditions[0]
+    hidden, solid = planes[VISIBLE] <= 0.5, planes[ALPHA] > SOLID
+    unseen = hidden & solid & (planes[SEEN] < KNOWN * planes[ALPHA])
+    assert torch.equal(region_of(batch.conditions)[0], hidden & solid)
+    assert torch.equal(unseen_of(batch.conditions)[0], unseen) and unseen.any()
+    assert (weight[unseen] == 1.0).all() and (weight[hidden & solid & ~unseen] == REGION_WEIGHT).all()
+    assert (weight[~hidden] < REGION_WEIGHT).all()
+    rng = np.random.default_rng(3)
+    windows = [unseen_of(make_batch([example], rng).conditions).any() for _ in range(20)]
+    assert sum(map(bool, windows)) > 10
 
 
 def test_colours_of_a_batch_change_together() -> None:
@@ -142,7 +183,7 @@ def test_examples_come_back_as_they_were() -> None:
     assert planes[DEPTH].min() < -0.9 and planes[DEPTH].max() > 0.9
     whole = whole_batch([make_example()])
     assert_close(whole.conditions[0].numpy(), planes)
-    assert_close(from_signal(whole.clean[0]).numpy(), np.clip(truth - planes[COARSE], -0.5, 0.5))
+    assert_close(from_signal(whole.clean[0]).numpy(), truth - planes[COARSE], atol=1e-5, rtol=1e-4)
     assert mask.max() == 1.0
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from occfusion.inpaint.corpus import Example, as_floats
 from occfusion.inpaint.network import to_signal
+from occfusion.inpaint.partial import KNOWN, SOLID
 from occfusion.inpaint.planes import ALPHA, COARSE, COMPLETE, GATHERED, OBSERVED, SEEN, SIZE, VISIBLE
 
 WINDOW = 128
@@ -19,8 +20,11 @@ WINDOW = 128
 DROP_GATHERED, DROP_COMPLETE = 0.1, 0.1
 MORE_HIDDEN = 0.3
 PERMUTED, GAINS = 0.5, (0.55, 1.15)
-HIDDEN_WEIGHT, SEEN_WEIGHT, REST_WEIGHT = 1.0, 0.2, 0.03
-"""In the loss: of the hidden person, of the visible one, of the background."""
+ABOUT_UNSEEN = 0.5
+"""Share of the windows that lie about a pixel that no frame shows, where there is one."""
+UNSEEN_WEIGHT, REGION_WEIGHT, EDGE_WEIGHT, SEEN_WEIGHT, REST_WEIGHT = 1.0, 0.25, 0.05, 0.025, 0.01
+"""In the loss: of what no frame shows, of the rest of the paper's R, of the hidden person outside of it, of what is
+seen, of the background."""
 
 Planes = NDArray[np.float32]
 
@@ -64,17 +68,32 @@ def _stacked(rows: Sequence[tuple[Planes, Planes, Planes]]) -> Batch:
     return Batch(to_signal(truth, planes), planes, _weight(planes, mask))
 
 
+def region_of(planes: Tensor) -> Tensor:
+    """Returns the paper's R in the crop, bool `[B, S, S]`; see `Partial.region`."""
+    return (planes[:, VISIBLE] <= 0.5) & (planes[:, ALPHA] > SOLID)
+
+
+def unseen_of(planes: Tensor) -> Tensor:
+    """Returns where R shows what no frame of the video does, bool `[B, S, S]`; see `Partial.unseen`."""
+    return region_of(planes) & (planes[:, SEEN] < KNOWN * planes[:, ALPHA])
+
+
 def _weight(planes: Tensor, mask: Tensor) -> Tensor:
-    person = torch.maximum(mask, planes[:, ALPHA]) > 0.1
-    seen = planes[:, VISIBLE] > 0.5
-    weight = torch.where(seen, SEEN_WEIGHT, torch.where(person, HIDDEN_WEIGHT, REST_WEIGHT))
+    edge = (planes[:, VISIBLE] <= 0.5) & (torch.maximum(mask, planes[:, ALPHA]) > 0.1)
+    weight = torch.where(planes[:, VISIBLE] > 0.5, SEEN_WEIGHT, REST_WEIGHT)
+    for pixels, value in (
+        (edge, EDGE_WEIGHT), (region_of(planes), REGION_WEIGHT), (unseen_of(planes), UNSEEN_WEIGHT)
+    ):  # fmt: skip
+        weight = torch.where(pixels, value, weight)
     return weight[:, None]
 
 
 def _window(example: Example, rng: np.random.Generator) -> Example:
-    """Returns a window about a random pixel that is hidden."""
-    hidden = (example.planes[VISIBLE] < 128) & ((example.mask > 127) | (example.planes[ALPHA] > 127))
-    rows, columns = np.nonzero(hidden)
+    """Returns a window about a random pixel of R, often one that no frame shows."""
+    told = torch.from_numpy(example.planes[None].astype(np.float32) / 255.0)
+    region, unseen = region_of(told)[0].numpy(), unseen_of(told)[0].numpy()
+    chosen = unseen if rng.uniform() < ABOUT_UNSEEN and unseen.any() else region
+    rows, columns = np.nonzero(chosen)
     if len(rows):
         k = int(rng.integers(len(rows)))
         middle = np.array([rows[k], columns[k]])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.human.avatar import Avatar
-from occfusion.inpaint.accumulation import accumulate
+from occfusion.inpaint.accumulation import accumulate, paint_unseen
 from occfusion.inpaint.partial import take_partial
 from occfusion.inpaint.planes import DEPTH, take_picture, take_planes
 from occfusion.priors.moments import Moment
@@ -37,12 +37,14 @@ def make_examples(
     """Yields an example for each occluded frame, whose truth must be known.
 
     Args:
-        avatar: of the end of the optimisation stage.
+        avatar: of the end of the optimisation stage; what no frame shows of it is given the colours of what is seen
+            nearby, as the refinement does before it asks for references.
         frames: all training frames, with the complete masks that the avatar was trained with.
         moments: of the same frames.
         backend: rasteriser backend.
     """
     accumulated = accumulate(avatar, frames, backend)
+    paint_unseen(avatar, accumulated)
     for frame, moment in zip(frames, moments, strict=True):
         if not moment.evidence.occluded:
             continue

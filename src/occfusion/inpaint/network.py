@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor, nn
 
 from occfusion.inpaint.planes import COARSE, PLANES
 from occfusion.priors.unet import BlockUNet
 
-GAIN = 2.0
-"""Of the signal: a difference between truth and rendering of 1 / GAIN is the largest that it can hold."""
+KNEE = 0.015
+"""Difference between truth and rendering up to which the signal grows in proportion; beyond, with its logarithm."""
+SPAN = math.asinh(1.0 / KNEE)
+"""Of the largest difference, 1, whose signal is 1."""
 
 
 class AppearanceNet(nn.Module):
@@ -36,10 +40,15 @@ class AppearanceNet(nn.Module):
 
 
 def to_signal(truth: Tensor, planes: Tensor) -> Tensor:
-    """Returns the signal for the true pictures `[B, 3, S, S]`, in -1..1."""
-    return (GAIN * (truth - planes[:, COARSE])).clamp(-1.0, 1.0)
+    """Returns the signal for the true pictures `[B, 3, S, S]`, in -1..1.
+
+    Differences are companded: most are a few hundredths or less, which a diffusion of standard noise would drown,
+    while the few large ones, where an outline is wrong, would decide the fit. The mean of a companded signal lies
+    towards the median, and a reference counts by L1 (paper §4.3).
+    """
+    return torch.asinh((truth - planes[:, COARSE]) / KNEE) / SPAN
 
 
 def from_signal(signal: Tensor) -> Tensor:
-    """Returns what is to be added to the coarse rendering."""
-    return signal / GAIN
+    """Returns what is to be added to the coarse rendering, for signals in -1..1."""
+    return KNEE * torch.sinh(SPAN * signal)

@@ -37,7 +37,14 @@ def digest(tensors: dict[str, Tensor]) -> str:
 
 
 def save_net(
-    path: Path, net: nn.Module, kind: str, size: int, widths: list[int], depth: int, card: Card
+    path: Path,
+    net: nn.Module,
+    kind: str,
+    size: int,
+    widths: list[int],
+    depth: int,
+    card: Card,
+    version: int = 1,
 ) -> None:
     """Writes a network's weights in half precision, with what is needed to build it and what is known of it.
 
@@ -49,14 +56,21 @@ def save_net(
         widths: it was made with.
         depth: it was made with.
         card: data, seeds, times and figures, as JSON can hold them.
+        version: of what it is told and predicts.
     """
     tensors = {name: value.detach().cpu().half().contiguous() for name, value in net.state_dict().items()}
-    content = {"network": kind, "size": size, "widths": widths, "depth": depth, "sha256": digest(tensors)}
+    content = {"network": kind, "size": size, "widths": widths, "depth": depth, "version": version}
+    content["sha256"] = digest(tensors)
     write_bytes(path, save(tensors, metadata={"occfusion": json.dumps(card | content)}))
 
 
 def load_net(
-    path: str | Path | None, kind: str, size: int, make: Callable[[tuple[int, ...], int], Net], setting: str
+    path: str | Path | None,
+    kind: str,
+    size: int,
+    make: Callable[[tuple[int, ...], int], Net],
+    setting: str,
+    version: int = 1,
 ) -> tuple[Net, Card]:
     """Returns a network, ready to evaluate, and its card.
 
@@ -66,13 +80,14 @@ def load_net(
         size: pixels a side of its crop.
         make: builds it from widths and depth.
         setting: that names the file, for errors.
+        version: of what it is told and predicts; files without one are of version 1.
 
     Raises:
-        DataError: the file is missing, damaged, of another network, or its values do not fit the hash it carries.
+        DataError: the file is missing, damaged, of another network or version, or its values do not fit its hash.
     """
     if path is None:
         with resources.as_file(resources.files("occfusion") / "assets" / f"{kind}_prior.safetensors") as own:
-            return load_net(own, kind, size, make, setting)
+            return load_net(own, kind, size, make, setting, version)
     path = Path(path)
     if not path.is_file():
         raise DataError(
@@ -87,6 +102,11 @@ def load_net(
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
         if card["network"] != kind or card["size"] != size:
             raise KeyError("network")
+        if (found := card.get("version", 1)) != version:
+            raise DataError(
+                f"{path}: weights of version {found} of the {kind} prior, where this package works with version {version}; "
+                f"train it again with `python train.py stage=prior prior_training={kind}`, or leave {setting} unset"
+            )
         if digest(tensors) != card["sha256"]:
             raise DataError(
                 f"{path}: its values do not fit the hash in its card; the file is damaged, get it again"

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar
-from occfusion.inpaint.batches import Batch, make_batch, whole_batch
+from occfusion.inpaint import weights
+from occfusion.inpaint.batches import Batch, make_batch, region_of, unseen_of, whole_batch
 from occfusion.inpaint.corpus import Example, make_examples
 from occfusion.inpaint.network import AppearanceNet, from_signal
 from occfusion.inpaint.planes import COARSE, SIZE
-from occfusion.inpaint.weights import APPEARANCE
 from occfusion.priors.diffusion import posterior_mean
 from occfusion.priors.moments import Moment
 from occfusion.recipes.recipe import Recipe
@@ -26,15 +26,17 @@ from occfusion.stages.settings import PriorTrainingSettings
 from occfusion.synth.spec import HELD_OUT_FROM
 from occfusion.types import Frame
 
-VERSION = 1
+VERSION = 2
 """Of the corpus: raised whenever its bytes change."""
 FIRST_SUBJECT = 5
 VALIDATION_SUBJECTS = 2
 """The first ones; they are measured on and not trained on."""
 OCCLUSIONS = (
-    ("strip", 0.5), ("strip", 0.6), ("moving", 0.5), ("strip", 0.4), ("box", 0.5), ("strip", 0.5), ("polygons", 0.5),
-    ("strip", 0.55),
+    ("strip", 0.5, 100, 0.8), ("moving", 0.5, 100, 0.8), ("strip", 0.6, 40, 1.0), ("strip", 0.4, 30, 1.0),
+    ("box", 0.5, 60, 1.0), ("strip", 0.5, 100, 0.8), ("polygons", 0.5, 40, 1.0), ("strip", 0.7, 100, 0.8),
 )  # fmt: skip
+"""Kind, share of the person, training frames, and the share of them that is occluded: short videos without a whole
+frame leave much of a person that no frame shows, which is where the references count."""
 VALIDATION_EXAMPLES = 8
 
 
@@ -47,12 +49,16 @@ class CoarseScene:
         seed: of its training.
         occlusion: kind.
         share: of the person.
+        frames: that are trained on, from the first on.
+        fraction: of them that are occluded.
     """
 
     scene: str
     seed: int
     occlusion: str
     share: float
+    frames: int
+    fraction: float
 
 
 @dataclass(frozen=True)
@@ -88,9 +94,9 @@ def coarse_scenes(count: int) -> list[CoarseScene]:
         )
     found = []
     for subject in range(FIRST_SUBJECT, FIRST_SUBJECT + count):
-        kind, share = OCCLUSIONS[(subject // 2) % len(OCCLUSIONS)]
         level = "hard" if subject % 2 else "clean"
-        found.append(CoarseScene(f"{subject:03d}-{level}", subject, kind, share))
+        how = OCCLUSIONS[(subject // 2) % len(OCCLUSIONS)]
+        found.append(CoarseScene(f"{subject:03d}-{level}", subject, *how))
     return found
 
 
@@ -101,17 +107,21 @@ class AppearanceRecipe(Recipe[AppearanceNet]):
         settings: size of network and corpus.
         folder: of the corpus.
         seed: of batches.
+        made_by: hash of the settings that scenes are trained with; examples of others are made again.
         train: trains a scene.
     """
 
-    kind, size = APPEARANCE, SIZE
+    kind, size, version = weights.APPEARANCE, SIZE, weights.VERSION
     data = f"coarse avatars of embedded subjects from {FIRST_SUBJECT} on, made by this package"
-    columns = ("coarse_psnr", "inpainted_psnr")
+    columns = ("coarse_psnr", "inpainted_psnr", "coarse_unseen_psnr", "inpainted_unseen_psnr")
 
-    def __init__(self, settings: PriorTrainingSettings, folder: Path, seed: int, train: TrainCoarse) -> None:
+    def __init__(
+        self, settings: PriorTrainingSettings, folder: Path, seed: int, made_by: str, train: TrainCoarse
+    ) -> None:
         self.settings = settings
         self.folder = folder
         self.seed = seed
+        self.made_by = made_by
         self._train = train
         self._shards: list[tuple[NDArray[np.uint8], ...]] = []
 
@@ -120,7 +130,7 @@ class AppearanceRecipe(Recipe[AppearanceNet]):
         scenes = coarse_scenes(self.settings.subjects)
         for number, scene in enumerate(scenes):
             shard = self.folder / scene.scene
-            identity = {"version": VERSION, "size": SIZE, **asdict(scene)}
+            identity = {"version": VERSION, "size": SIZE, "made_by": self.made_by, **asdict(scene)}
             marker = shard / "shard.json"
             if not (marker.is_file() and json.loads(marker.read_text()) == identity):
                 coarse = self._train(scene, self.folder / "runs" / scene.scene)
@@ -147,21 +157,29 @@ class AppearanceRecipe(Recipe[AppearanceNet]):
 
     @torch.no_grad()
     def measure(self, net: AppearanceNet, device: torch.device) -> dict[str, float]:
-        """Returns the PSNR in what is hidden, of the coarse avatars and of the inpainted frames."""
-        scores = {name: [] for name in self.columns}  # type: ignore[var-annotated]
+        """Returns the PSNR of the coarse avatars and of the inpainted frames, over all measured frames.
+
+        The first two are of the paper's R, the others, where there is such, of what of it no frame shows.
+        """
+        errors, counts = np.zeros(4), np.zeros(4)
         for shard in self._shards[:VALIDATION_SUBJECTS]:
             places = np.linspace(0, len(shard[0]) - 1, min(VALIDATION_EXAMPLES, len(shard[0]))).astype(int)
             for k in places:
-                batch = whole_batch([_example(shard, int(k))]).to(device)
-                planes = batch.conditions
-                noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(device)
+                planes = whole_batch([_example(shard, int(k))]).conditions.to(device)
+                noise = torch.randn(planes[:, :3].shape, generator=torch.Generator().manual_seed(0)).to(
+                    device
+                )
                 found = posterior_mean(lambda x, t, planes=planes: net(x, t, planes), noise)  # type: ignore[misc]
                 coarse = planes[:, COARSE]
                 truth = torch.from_numpy(shard[1][k].astype(np.float32))[None].to(device) / 255.0
-                for name, picture in zip(self.columns, (coarse, coarse + from_signal(found)), strict=True):
-                    error = (picture.clamp(0.0, 1.0) - truth).square()[(batch.weight == 1.0).expand_as(truth)]
-                    scores[name].append(float(-10.0 * error.mean().log10()))
-        return {name: float(np.mean(values)) for name, values in scores.items()}
+                pictures = (coarse, coarse + from_signal(found))
+                wrong = [(picture.clamp(0.0, 1.0) - truth).square().mean(dim=1) for picture in pictures]
+                for number, pixels in enumerate((region_of(planes), unseen_of(planes))):
+                    for which in range(2):
+                        errors[2 * number + which] += float(wrong[which][pixels].sum())
+                        counts[2 * number + which] += int(pixels.sum())
+        known = zip(self.columns, errors, counts, strict=True)
+        return {name: float(-10.0 * np.log10(error / count)) for name, error, count in known if count}
 
 
 def _example(shard: tuple[NDArray[np.uint8], ...], k: int) -> Example:

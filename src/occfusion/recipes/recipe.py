@@ -21,12 +21,14 @@ class Recipe(ABC, Generic[Net]):
         size: pixels a side of the crop.
         data: what it learns from, for the card.
         columns: names of its figures.
+        version: of what its network is told and predicts.
     """
 
     kind: str
     size: int
     data: str
     columns: tuple[str, ...]
+    version: int = 1
 
     @abstractmethod
     def prepare(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from occfusion.human.densify import Densification
 from occfusion.splat import Limits
@@ -189,19 +189,6 @@ class OptimSettings(AvatarSettings):
     learn_skinning: bool = True
     skinning_every: int = 4
     sds: SdsSettings = field(default_factory=SdsSettings)
-
-
-def as_in_3dgs(settings: OptimSettings) -> OptimSettings:
-    """Returns the settings with Gaussians that start and are drawn as in 3DGS, under even light."""
-    plain = OptimSettings()
-    return replace(
-        settings,
-        dilation=plain.dilation,
-        thickness=plain.thickness,
-        observed_colors=plain.observed_colors,
-        key_light=plain.key_light,
-        rates=replace(settings.rates, scales=plain.rates.scales),
-    )
 
 
 @dataclass

@@ -1,0 +1,55 @@
+"""Trains the coarse avatars that the embedded inpainter learns from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import lightning as L
+
+from occfusion.avatar_run import run_stages
+from occfusion.config import Named, Settings
+from occfusion.errors import ConfigError
+from occfusion.recipes.appearance import Coarse, CoarseScene
+from occfusion.run_objects import compose_run
+
+
+def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse:
+    """Trains the coarse avatar of a scene of the inpainter's corpus, or takes up one trained before.
+
+    Args:
+        settings: of the training of the prior; variant and plan are those whose coarse avatars it learns from.
+        scene: whose avatar.
+        folder: of its run.
+
+    Raises:
+        OccfusionError: as `run_stages`; or the variant completes no masks, so nothing would be inpainted after it.
+    """
+    if "init" not in settings.variant.stages:
+        raise ConfigError(
+            f"stage=prior prior_training=appearance: variant {settings.variant.name} completes no masks, so nothing is "
+            f"inpainted after it; leave variant unset, or choose one of B to E"
+        )
+    how = {"kind": scene.occlusion, "share": scene.share, "fraction": scene.fraction}
+    occlusion = {**settings.dataset.get("occlusion", {}), **how}
+    own = replace(
+        settings,
+        stage=Named("optim"),
+        dataset={
+            **settings.dataset,
+            "scene": scene.scene,
+            "cameras": 2,
+            "train_frames": [0, scene.frames, 1],
+            "occlusion": occlusion,
+        },
+        evaluation=replace(settings.evaluation, curve=False, perceptual=False),
+        seed=scene.seed,
+        output_dir=str(folder),
+    )
+    L.seed_everything(own.seed, verbose=False)  # whatever was trained before it in this process
+    run_ = compose_run(own, folder_chosen_by_user=True)
+    assert run_.moments is not None
+    run_stages(run_)
+    positions = range(len(run_.data.train_indices))
+    frames = [run_.data.train_frame(k, complete="init" in run_.stages) for k in positions]
+    return Coarse(run_.avatar.eval(), frames, run_.moments, run_.backend)
