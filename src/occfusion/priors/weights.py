@@ -104,7 +104,7 @@ def load_net(
             raise KeyError("network")
         if (found := card.get("version", 1)) != version:
             raise DataError(
-                f"{path}: weights of version {found} of the {kind} prior, where this package works with version {version}; "
+                f"{path}: weights of version {found} of the {kind} prior, not {version}; "
                 f"train it again with `python train.py stage=prior prior_training={kind}`, or leave {setting} unset"
             )
         if digest(tensors) != card["sha256"]:
