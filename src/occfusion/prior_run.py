@@ -81,7 +81,7 @@ def run_prior_training(
         "training": asdict(training) | {"seed": settings.seed},
         "train_seconds": round(stage.clock.seconds, 1),
         "threads": torch.get_num_threads(),
-        "validation": curve.last | figures,
+        "validation": curve.latest() | figures,
         "data": recipe.data,
     }
     save_net(
@@ -126,7 +126,7 @@ class PriorCurve(L.Callback):
 
     def __init__(self, path: Path, settings: PriorTrainingSettings, recipe: Recipe[Any]) -> None:
         self.path = path
-        self.last: dict[str, Any] = {}
+        self._last: dict[str, Any] = {}
         self._recipe = recipe
         self._next = settings.validation_first_second
 
@@ -134,6 +134,15 @@ class PriorCurve(L.Callback):
     def columns(self) -> tuple[str, ...]:
         """Returns the columns of the table."""
         return ("step", "train_seconds", "loss", *self._recipe.columns)
+
+    def latest(self) -> dict[str, Any]:
+        """Returns the last figures; of the table where this call had nothing left to train."""
+        rows = self._rows()
+        if self._last or not rows:
+            return self._last
+        return {
+            key: int(value) if key == "step" else float(value) for key, value in rows[-1].items() if value
+        }
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Drops what a resumed run will measure again."""
@@ -154,13 +163,13 @@ class PriorCurve(L.Callback):
 
     def _measure(self, trainer: L.Trainer, stage: PriorStage[Any]) -> None:
         figures = self._recipe.measure(stage.averaged, stage.device)
-        self.last = {
+        self._last = {
             "step": trainer.global_step,
             "train_seconds": round(stage.clock.seconds, 1),
             "loss": round(stage.last_terms()["v"], 5),
             **{name: round(value, 4) for name, value in figures.items()},
         }
-        write_table(self.path, self.columns, [*self._rows(), self.last])
+        write_table(self.path, self.columns, [*self._rows(), self._last])
 
     def _rows(self) -> list[dict[str, Any]]:
         if not self.path.is_file():

@@ -66,7 +66,10 @@ def test_the_appearance_recipe_trains_its_coarse_avatars_once(
         raise AssertionError("a coarse avatar was trained again")
 
     monkeypatch.setattr("occfusion.app.train_coarse", fail)
-    train(*options)
+    again = train(*options)[1]
+    assert again["validation"] == pytest.approx(card["validation"], rel=1e-4), (
+        "a finished run lost its figures"
+    )
 
 
 class Recorder(CoarsePictures):
