@@ -52,17 +52,12 @@ LAYERS = [
 ]
 LEVEL = {part: level for level, parts in enumerate(LAYERS) for part in parts}
 
+LIGHTNING = {
+    "data/module.py", "stages", "app.py", "avatar_run.py", "coarse_run.py", "prior_run.py", "cli",
+}  # fmt: skip
 # heavy or optional libraries, and the only parts that may import them when they are themselves imported
 AT_TOP_LEVEL_ONLY_IN = {
-    "lightning": {
-        "data/module.py",
-        "stages",
-        "app.py",
-        "avatar_run.py",
-        "coarse_run.py",
-        "prior_run.py",
-        "cli",
-    },
+    "lightning": LIGHTNING,
     "hydra": {"cli", "app.py", "compose.py"},
     "diffusers": set(),
     "transformers": set(),
@@ -87,16 +82,7 @@ ANYWHERE_ONLY_IN = {
         "runfolder.py",
         "compare/reading.py",
     },
-    "lightning": {
-        "data/module.py",
-        "stages",
-        "app.py",
-        "avatar_run.py",
-        "coarse_run.py",
-        "prior_run.py",
-        "cli",
-        "config.py",
-    },
+    "lightning": LIGHTNING | {"config.py"},
     "stlpips_pytorch": set(),
     "torchvision": set(),
 }
