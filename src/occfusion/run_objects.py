@@ -75,6 +75,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     data = make_data(settings, body)
     data.validate()
     summary = data.summary()
+    print("\n".join(["data taken", *(f"  {line}" for line in data.taken.lines())]))
     backend = resolve_backend(settings.rasterizer.name, device_of(settings), torch.float32)
     is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
     is_hidden_weighed = settings.optim.mask_hidden < 1.0
@@ -92,7 +93,9 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     decisions = planning.make_plan(settings, summary, backend, moments, key_light)
     decisions += planning.precision_decisions(settings, decisions, device_of(settings))
     _check_priors(settings, decisions)
-    folder = claim_run_folder(settings, summary["hash"], chosen_by_user=folder_chosen_by_user)
+    folder = claim_run_folder(
+        settings, summary["hash"], chosen_by_user=folder_chosen_by_user, data=summary["taken"]
+    )
     if not is_helper():
         write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
     stages = [

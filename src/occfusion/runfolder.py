@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -42,7 +42,9 @@ TAKEN_OVER = (*STAGES, "masks", "inpainted", "metrics.json", "error_vs_time.csv"
 """What a later call on the same folder would take over instead of doing it."""
 
 
-def claim_run_folder(settings: Settings, data_hash: str, *, chosen_by_user: bool) -> Path:
+def claim_run_folder(
+    settings: Settings, data_hash: str, *, chosen_by_user: bool, data: Mapping[str, str] | None = None
+) -> Path:
     """Returns the folder for this run, made ready: new, or one that the same settings and data left off.
 
     A default folder that holds another run is left alone and a numbered sibling is used; a folder that the user
@@ -55,6 +57,12 @@ def claim_run_folder(settings: Settings, data_hash: str, *, chosen_by_user: bool
 
     A process that helps another to train is given that one's folder.
 
+    Args:
+        settings: of the run.
+        data_hash: of all that is read.
+        chosen_by_user: whether the user named the folder.
+        data: what the reader took of the data folder, for whoever finds the run later.
+
     Raises:
         ConfigError: the named folder holds another run, or cannot be written.
     """
@@ -66,6 +74,7 @@ def claim_run_folder(settings: Settings, data_hash: str, *, chosen_by_user: bool
     description = {
         "identity": {"settings": settings_hash(settings), "data": data_hash},
         **describe_environment(),
+        "data": dict(data or {}),
     }
     for number in range(1, MAX_SIBLINGS):
         folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")

@@ -107,6 +107,7 @@ def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding]
         return [*findings, Finding("error", "folder", str(error))], None
     text = f"{layout}: {scene.num_frames} frames, {len(scene.cameras)} cameras"
     findings.append(Finding("ok", "layout", text))
+    findings += [Finding("note", "taken", line) for line in scene.taken.lines()]
     findings += [Finding("doubt", "layout", remark) for remark in scene.remarks]
     if not 0 <= arguments.camera < len(scene.cameras):
         raise ConfigError(

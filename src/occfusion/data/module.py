@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.posing import Poser, RestBody
 from occfusion.data.prepare import Prepared, Selection, prepare
 from occfusion.data.sampling import StepSampler, StepStream, ViewStream, prefetched
-from occfusion.data.scene import Scene
+from occfusion.data.scene import Scene, Taken
 from occfusion.data.stored_occlusion import write_occlusion
 from occfusion.data.views import Views, frame_to
 from occfusion.errors import ConfigError
@@ -108,6 +109,11 @@ class HumanDataModule(L.LightningDataModule):
     def scene_name(self) -> str:
         """Name of the sequence."""
         return self._open()[0].scene.name
+
+    @property
+    def taken(self) -> Taken:
+        """What the reader took of the folder."""
+        return self._open()[0].scene.taken
 
     @property
     def train_indices(self) -> tuple[int, ...]:
@@ -240,6 +246,7 @@ class HumanDataModule(L.LightningDataModule):
         selected = [*prepared.train_views, *prepared.test_views]
         return {
             "scene": prepared.scene.name,
+            "taken": asdict(prepared.scene.taken),
             "frames": len(prepared.train),
             "frames_left_out": list(prepared.left_out),
             "cameras": len(prepared.scene.cameras),

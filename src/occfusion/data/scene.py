@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -103,10 +103,39 @@ class Surface(NamedTuple):
     faces: NDArray[np.int64]
 
 
+@dataclass(frozen=True)
+class Taken:
+    """What a reader took of a folder, in words: a folder often holds several answers, and a run must say which it used.
+
+    Attributes:
+        layout: its name, and whose program writes it.
+        pictures: folder, how many of how many, and why the others were dropped.
+        body: file or folder of the poses, which of several, and by which rule they are read.
+        shape: where the shape coefficients come from.
+        masks: folder, and which values are the person.
+        cameras: file, and whether the camera stands still.
+        centres: where the middle of the first pixel is for the principal points as they are stored.
+        others: what else lies there and was not read, and how to ask for it; empty where there is nothing.
+    """
+
+    layout: str
+    pictures: str
+    body: str
+    shape: str
+    masks: str
+    cameras: str
+    centres: str
+    others: str = ""
+
+    def lines(self) -> list[str]:
+        """Returns a line each, `name: what`, without those that say nothing."""
+        return [f"{name}: {text}" for name, text in asdict(self).items() if text]
+
+
 class Scene(ABC):
     """An interface: one sequence of one person, seen by one or more cameras.
 
-    `remarks` are sentences about the folder that the user should know of, one each; `surface` gives the person's
+    `taken` says what was read; `remarks` are sentences about the folder that the user should know of, one each; `surface` gives the person's
     true surface at a frame of the sequence, for evaluation, and is None where nobody knows it.
     """
 
@@ -114,6 +143,7 @@ class Scene(ABC):
     root: Path
     num_frames: int
     cameras: tuple[str, ...]
+    taken: Taken
     remarks: tuple[str, ...] = ()
     surface: Callable[[int], Surface] | None = None
 

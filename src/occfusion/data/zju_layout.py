@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 from occfusion.data.annots import Annots
 from occfusion.data.easymocap import read_body
 from occfusion.data.listing import MAX_DIGITS
-from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
+from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.data.true_surface import true_surface
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.arrays import load_npy
@@ -91,6 +91,15 @@ class ZjuScene(Scene):
         self._params = folder / (there or self._release.params)[0]
         self._numbers = [frame_number(row[0], position) for position, row in enumerate(self._annots.pictures)]
         self._has_truth = (folder / "mask_complete").is_dir()
+        self.taken = Taken(
+            layout="refined ZJU-MoCap" if refined else "original ZJU-MoCap",
+            pictures=f"the {self.num_frames} moments of annots.npy",
+            body=f"{self._params.name}/",
+            shape=f"`shapes` of {self._params.name}/",
+            masks=masks,
+            cameras="annots.npy",
+            centres="0 (OpenCV)",
+        )
         if (surface := true_surface(folder)) is not None:
             self.surface = lambda frame: surface(self._numbers[frame])
 
