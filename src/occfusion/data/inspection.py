@@ -125,7 +125,17 @@ def inspect_bodies(look: Look) -> list[Finding]:
             Finding("error", "bad frames", f"{len(bad)}: {listed(bad)}; the first: {bad[first]}",
                     "mend or leave out these frames")
         )  # fmt: skip
+    found += _given_joints(look)
     return found + (guarded("body", lambda: _bodies(look)) if look.bodies else [])
+
+
+def _given_joints(look: Look) -> list[Finding]:
+    """Returns what the folder's own joints say of the body: a doubt, as another one may be given in training."""
+    try:
+        doubts = look.scene.body_doubts(look.poser.pose)
+    except DataError as error:
+        doubts = [str(error)]
+    return [Finding("doubt", "body file", text) for text in doubts]
 
 
 def _bodies(look: Look) -> Iterator[Finding]:

@@ -48,14 +48,14 @@ class HumanDataModule(L.LightningDataModule):
         self,
         body: RestBody,
         selection: Selection,
-        image_size: int,
+        image_size: int | None,
         occlusion: str | Mapping[str, Any] | OcclusionSettings | None,
         seed: int,
         cache_megabytes: float,
     ) -> None:
         super().__init__()
         whole = isinstance(image_size, int) and not isinstance(image_size, bool)
-        if not whole or not MIN_SIZE <= image_size <= MAX_SIZE:
+        if image_size is not None and not (whole and MIN_SIZE <= image_size <= MAX_SIZE):
             raise ConfigError(f"dataset.image_size={image_size!r}: must be from {MIN_SIZE} to {MAX_SIZE}.")
         self.image_size = image_size
         self.occlusion = OcclusionSettings.parse(occlusion)
@@ -70,6 +70,10 @@ class HumanDataModule(L.LightningDataModule):
     @abstractmethod
     def open_scene(self) -> Scene:
         """Returns the reader of the sequence."""
+
+    def own_image_size(self, scene: Scene) -> int:
+        """Returns the longer side of the frames in pixels where none is given; asked once the files are open."""
+        raise ConfigError(f"dataset.image_size=null: must be from {MIN_SIZE} to {MAX_SIZE}.")
 
     # --- preparation ---------------------------------------------------------------------------------
 
@@ -98,7 +102,10 @@ class HumanDataModule(L.LightningDataModule):
 
     def _open(self) -> tuple[Prepared, Views, StepSampler]:
         if self._opened is None:
-            prepared = prepare(self.open_scene(), self._selection, self.occlusion)
+            scene = self.open_scene()
+            prepared = prepare(scene, self._selection, self.occlusion)
+            if self.image_size is None:
+                self.image_size = min(max(self.own_image_size(scene), MIN_SIZE), MAX_SIZE)
             views = Views(prepared, self.image_size, self._cache_bytes)
             self._opened = prepared, views, StepSampler(len(prepared.train), self.seed)
         return self._opened

@@ -2,19 +2,25 @@
 
 | file | content |
 |---|---|
-| `images/00000.png`, `masks/00000.png` | pictures; masks of the visible person, any channel, not 0 |
-| `metadata.json` | `{picture: {poses, betas, trans, cam_intrinsics, cam_extrinsics}}` |
+| `images/00256.png`, `masks/00256.png` | pictures; masks of the visible person, any channel, not 0 |
+| `metadata.json` | `{picture without suffix: {poses, betas, trans, cam_intrinsics, cam_extrinsics}}` |
+| `mesh_infos.pkl` | `{picture: {Rh, Th, poses, betas, joints, tpose_joints}}`, made from it; optional |
 
 The convention is that of SMPL: the root's rotation is the first three of `poses`, and
-`x = SMPL(poses, betas) + trans`. Other footage prepared for HumanNeRF has the same file, at times without
-`trans`; its person then stands at the origin. `cameras.pkl`, `all_cameras.pkl` and `mesh_infos.pkl` beside it
-say the same in HumanNeRF's form and are not read.
+`x = SMPL(poses, betas) + trans`. Pictures decide which frames there are; `metadata.json` may have rows of the whole
+sequence. Other footage prepared for HumanNeRF has the same file without `trans`; its person then stands at the
+origin.
+
+The preparation's `mesh_infos.pkl` has the pelvis at 0 and the root's rotation as `Rh`, the same as in `poses`; its
+joints at rest are compared with the body's. Its `cameras.pkl` has `trans` in the extrinsics, and so has
+`all_cameras.pkl`, of the sequence's six cameras; neither is read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +28,30 @@ from occfusion.data import checks
 from occfusion.data.fixed_camera import FixedCamera
 from occfusion.data.humannerf_layout import entry, need, table
 from occfusion.data.lens import OPENCV_CENTRE
-from occfusion.data.listing import natural, partners, pictures_in, require_same
-from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
+from occfusion.data.listing import SUFFIXES, natural, partners, pictures_in, require_same
+from occfusion.data.ocmotion_joints import Posing, evenly, require_rest_joints
+from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
+from occfusion.errors import DataError
 from occfusion.files.jsonfile import load_json
+from occfusion.files.unpickle import load_pickle
 
 METADATA = "metadata.json"
+MESHES = "mesh_infos.pkl"
+
+ROUNDING = 1e-4
+"""Metres by which joints at rest may differ in the very body that wrote them."""
+
+SAME_TURN = 1e-3
+"""Radians between two records of one rotation: more is no rounding."""
+
+NOT_READ = {
+    "mesh_infos.pkl": "the same poses in HumanNeRF's form, of which only the joints at rest are compared",
+    "cameras.pkl": "the same camera with `trans` in it",
+    "canonical_joints.pkl": "joints of the mean shape",
+    "all_cameras.pkl": "all cameras of the sequence: of those beyond the first the cut has no pictures",
+    "all_mesh_infos.pkl": "the poses once a camera",
+}
+"""What the preparation writes beside what is read here."""
 
 
 class W2aScene(Scene):
@@ -52,23 +77,45 @@ class W2aScene(Scene):
         """
         self.name, self.root = folder.name, folder
         self._pelvis, self._person, self._file = pelvis, person, folder / METADATA
-        rows = table(load_json(self._file), self._file)
+        rows = _by_picture(table(load_json(self._file), self._file), self._file)
         images = pictures_in(folder / "images")
-        self._rows = {Path(name).stem: entry(rows, name, self._file) for name in rows}
-        require_same(self._rows, str(self._file), images, str(folder / "images"))
+        require_same(images, str(folder / "images"), rows.keys() & images.keys(), str(self._file))
         self._names = sorted(images, key=natural)
+        self._rows = {name: entry(rows, name, self._file) for name in self._names}
         self._pictures = [images[name] for name in self._names]
-        self._masks = partners(self._names, pictures_in(folder / masks), folder / masks)
+        self._masks, spare_masks = _masks(self._names, folder / masks)
         self.num_frames, self.cameras = len(self._names), ("camera",)
         where = [self._where(frame) for frame in range(self.num_frames)]
-        chosen = [self._rows[name] for name in self._names]
+        chosen = list(self._rows.values())
+        self._has_trans = _all_or_none(chosen, "trans", where)
+        views = [need(row, "cam_extrinsics", at) for row, at in zip(chosen, where, strict=True)]
         self._camera = FixedCamera(
             "camera",
             [need(row, "cam_intrinsics", at) for row, at in zip(chosen, where, strict=True)],
-            [need(row, "cam_extrinsics", at) for row, at in zip(chosen, where, strict=True)],
+            views,
             None,
             where,
             OPENCV_CENTRE,
+        )
+        moves = any(not np.allclose(view, views[0], rtol=0, atol=1e-6) for view in views)
+        self._meshes = self._read_meshes()
+        self.taken = Taken(
+            layout="OcMotion as Wild2Avatar cut it (w2a)",
+            pictures=_pictures_in_words(self.num_frames, len(rows), spare_masks, masks),
+            body=f"{METADATA}: SMPL(poses, betas)"
+            + (
+                " + trans"
+                if self._has_trans
+                else "; there is no trans, so that the person stands at the origin"
+            )
+            + ", the root's rotation in poses[:3]",
+            shape=f"betas of {METADATA}, {_shapes_in_words(chosen)}",
+            masks=f"{masks}/, "
+            + ("every value but 0 (soft edges: from 128 on)" if person is None else f"value {person}"),
+            cameras=f"{METADATA}: cam_intrinsics and cam_extrinsics; the camera "
+            + ("moves, which is carried over to the person" if moves else "stands still"),
+            centres="0 (OpenCV)",
+            others=_others(folder, masks),
         )
 
     def calibration(self, camera: int) -> Calibration:
@@ -77,12 +124,8 @@ class W2aScene(Scene):
 
     def parameters(self, frame: int) -> BodyParameters:
         """Returns the body of a frame."""
-        row, where = self._rows[self._names[frame]], self._where(frame)
-        poses = checks.numbers(need(row, "poses", where), 72, f"{where}, poses")
-        betas = checks.shape_numbers(need(row, "betas", where), f"{where}, betas")
-        transl = checks.numbers(row.get("trans", np.zeros(3)), 3, f"{where}, trans")
-        body = BodyParameters(betas, poses[:3], poses[3:], transl)
-        return self._camera.carry(frame, body, self._pelvis(betas))
+        body = self._own_parameters(frame)
+        return self._camera.carry(frame, body, self._pelvis(body.betas))
 
     def files(self, frame: int, camera: int) -> PictureFiles:
         """Returns the paths of one picture and its mask."""
@@ -93,5 +136,111 @@ class W2aScene(Scene):
         """Returns the table."""
         return (self._file,)
 
+    def body_doubts(self, pose: Posing) -> list[str]:
+        """Returns what `mesh_infos.pkl` says against the body: its joints at rest and the root's rotation.
+
+        Raises:
+            DataError: its joints at rest are another body's.
+        """
+        path, doubts = self.root / MESHES, []
+        known = [frame for frame, name in enumerate(self._names) if name in self._meshes]
+        turned = []
+        for frame in evenly(known):
+            name = self._names[frame]
+            row, where, body = entry(self._meshes, name, path), f"{path}, {name}", self._own_parameters(frame)
+            if "tpose_joints" in row:
+                given = checks.numbers(row["tpose_joints"], (24, 3), f"{where}, tpose_joints")
+                residual = require_rest_joints(given, body.betas, pose, f"{where}, tpose_joints")
+                if residual > ROUNDING and not doubts:
+                    doubts.append(
+                        f"{where}: the joints at rest are up to {1000 * residual:.1f} mm from those of the body file: "
+                        "perhaps another version of it."
+                    )
+            if "Rh" in row:
+                Rh = checks.numbers(row["Rh"], 3, f"{where}, Rh")
+                turned += [name] if checks.turn_between(Rh, body.global_orient) > SAME_TURN else []
+        if turned:
+            doubts.append(
+                f"{path}: Rh is another rotation than poses[:3] of {METADATA} in {len(turned)} of the frames looked "
+                f"at, first {turned[0]}. OccFusion trains on Rh; {METADATA} is used here. Make {MESHES} again from "
+                "it, or remove it."
+            )
+        return doubts
+
+    def _own_parameters(self, frame: int) -> BodyParameters:
+        """Returns the body of a frame in the frame's own world."""
+        row, where = self._rows[self._names[frame]], self._where(frame)
+        poses = checks.numbers(need(row, "poses", where), 72, f"{where}, poses")
+        betas = checks.shape_numbers(need(row, "betas", where), f"{where}, betas")
+        transl = checks.numbers(row["trans"] if self._has_trans else np.zeros(3), 3, f"{where}, trans")
+        return BodyParameters(betas, poses[:3], poses[3:], transl)
+
+    def _read_meshes(self) -> Mapping[str, Any]:
+        path = self.root / MESHES
+        return table(load_pickle(path), path) if path.is_file() else {}
+
     def _where(self, frame: int) -> str:
         return f"{self._file}, {self._names[frame]}"
+
+
+def _by_picture(rows: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    """Returns the rows by the picture's name; keys may be file names."""
+    found: dict[str, Any] = {}
+    for key, row in rows.items():
+        name = Path(key).stem if Path(key).suffix.lower() in SUFFIXES else key
+        if name in found:
+            raise DataError(f"{path}: has two rows for the picture {name!r}; keep one of them.")
+        found[name] = row
+    return found
+
+
+def _masks(names: list[str], folder: Path) -> tuple[tuple[Path, ...], int]:
+    """Returns the mask of each picture, and how many others there are."""
+    there = pictures_in(folder)
+    own = {name: there[name] for name in names if name in there}
+    whole = len(own) == len(names)
+    return partners(names, own if whole else there, folder), len(there) - len(own) if whole else 0
+
+
+def _all_or_none(rows: list[Mapping[str, Any]], key: str, where: list[str]) -> bool:
+    """Returns whether the rows have a key.
+
+    Raises:
+        DataError: some have it and some have not.
+    """
+    lacking = [at for row, at in zip(rows, where, strict=True) if key not in row]
+    if lacking and len(lacking) < len(rows):
+        raise DataError(
+            f"{lacking[0]}: has no {key!r}, which {len(rows) - len(lacking)} of {len(rows)} frames have. Complete it, "
+            "or take it out of all."
+        )
+    return not lacking
+
+
+def _pictures_in_words(frames: int, rows: int, spare_masks: int, masks: str) -> str:
+    text = f"images/, all {frames}"
+    if rows > frames:
+        text += f"; {rows - frames} of the {rows} rows of {METADATA} have no picture and are left out"
+    if spare_masks:
+        text += f"; {spare_masks} files of {masks}/ belong to no picture and are left out"
+    return text
+
+
+def _shapes_in_words(rows: list[Mapping[str, Any]]) -> str:
+    count = len({repr(row.get("betas")) for row in rows})
+    return "the same in all frames" if count == 1 else f"{count} shapes, each frame its own"
+
+
+def _others(folder: Path, masks: str) -> str:
+    read = {METADATA, "images", masks}
+    try:
+        names = sorted({path.name for path in folder.iterdir()} - read, key=natural)
+    except OSError:
+        return ""
+    known = [f"{name} ({NOT_READ[name]})" for name in names if name in NOT_READ]
+    if {"cameras.pkl", MESHES} <= set(names):
+        known.append("HumanNeRF's form of it all is read by dataset=zju dataset.layout=humannerf")
+    strange = [name for name in names if name not in NOT_READ]
+    if strange:
+        known.append("not looked at: " + ", ".join(strange[:12]) + (" …" if len(strange) > 12 else ""))  # noqa: PLR2004
+    return "; ".join(known)

@@ -162,3 +162,14 @@ class Scene(ABC):
     @abstractmethod
     def evidence(self, frame: int) -> tuple[Path, ...]:
         """Returns the files, other than pictures, that determine a frame: for the hash of the data."""
+
+    def body_doubts(self, pose: Callable[[BodyParameters], tuple[Array, Array]]) -> list[str]:
+        """Returns what joints that the folder itself has say against a body, one sentence each.
+
+        Args:
+            pose: gives the body's vertices `[V, 3]` and joints `[24, 3]` in the world, metres.
+
+        Raises:
+            DataError: the parameters were certainly fitted with another body.
+        """
+        return []

@@ -58,6 +58,7 @@ def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
         views.parameters(frame)
     _check_height(poser.rest_vertices(views.parameters(prepared.train[0]).betas), str(scene.root))
     doubts = [*scene.remarks, *([_left_out(prepared)] if prepared.left_out else [])]
+    doubts += scene.body_doubts(poser.pose)
     doubts += mask_doubts(str(scene.root), prepared.train, [person.seen for person in prepared.people])
     return doubts + _check_projection(prepared, views, poser) + _held_out_doubts(prepared, views, poser)
 

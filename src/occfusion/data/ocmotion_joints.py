@@ -1,0 +1,107 @@
+"""Joints that OcMotion's files have themselves, against those of the body: is it the body of the parameters?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from occfusion.data import checks
+from occfusion.data.scene import Array, BodyParameters, Calibration
+from occfusion.errors import DataError
+
+Posing = Callable[[BodyParameters], tuple[Array, Array]]
+"""Gives vertices `[V, 3]` and joints `[24, 3]` in the world, metres."""
+
+LOOKED_AT = 8
+"""Frames compared, evenly spread."""
+
+SAME_BODY = 0.005
+"""Greatest distance, metres, of a joint at rest in the very body that wrote it: float32 gives 1e-6, and the bodies of
+women and men differ by centimetres for the same coefficients."""
+
+LSP_LIMBS = {0: 8, 1: 5, 4: 4, 5: 7, 6: 21, 7: 19, 10: 18, 11: 20}
+"""Ankles, knees, wrists and elbows: number among the 14 key points of LSP, and among SMPL's joints. Hips and shoulders
+of the two are other places of the body."""
+
+LSP_COUNT = 14
+FAR_OFF = 0.05
+"""Of the person's height in pixels: 8 cm. The key points of LSP lie 2 to 3 cm from SMPL's joints."""
+
+
+def evenly(frames: Sequence[int], count: int = LOOKED_AT) -> list[int]:
+    """Returns a few of the frames, evenly spread."""
+    chosen = np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)
+    return [frames[k] for k in sorted(set(chosen.tolist()))] if frames else []
+
+
+def require_rest_joints(given: Array, betas: Array, pose: Posing, where: str) -> float:
+    """Returns how far the body's joints at rest are from those that a file gives, metres.
+
+    Args:
+        given: joints at rest, `[24, 3]` in metres, wherever the pelvis is.
+        betas: shape coefficients `[B]`.
+        pose: the body.
+        where: what the message calls the given joints.
+
+    Raises:
+        DataError: the greatest distance is above `SAME_BODY`: this is another body.
+    """
+    _, rest = pose(BodyParameters(betas, np.zeros(3), np.zeros(69), np.zeros(3)))
+    away = np.linalg.norm((rest - rest[0]) - (given - given[0]), axis=1)
+    residual = float(away.max())
+    if residual > SAME_BODY:
+        raise DataError(
+            f"{where}: the joints at rest differ by up to {1000 * residual:.1f} mm from those of the body file "
+            f"(joint {int(away.argmax())}; mean {1000 * float(away.mean()):.1f} mm), so that the parameters were "
+            "fitted with another body. Give body.path (in check: --body) the file that was used; for OcMotion it "
+            "is the neutral SMPL with 10 coefficients."
+        )
+    return residual
+
+
+def limb_distances(keypoints: Any, joints: Array, camera: Calibration, where: str) -> tuple[Array, float]:
+    """Returns distances in pixels of limbs from LSP's key points, and the height of the projected joints.
+
+    Args:
+        keypoints: `[14, 2]` in pixels, or `[14, 3]` with a confidence of which 0 is unknown.
+        joints: the body's, in the world, `[24, 3]`, metres.
+        camera: the camera at the stored size.
+        where: what messages call the key points.
+
+    Returns:
+        Distances `[N]`, of those that are known and ahead of the camera; height in pixels.
+
+    Raises:
+        DataError: something else than 14 points.
+    """
+    columns = 3 if checks.count_of(keypoints) == 3 * LSP_COUNT else 2
+    points = checks.numbers(keypoints, columns * LSP_COUNT, where).reshape(LSP_COUNT, columns)
+    pixels, depth = checks.project(joints, camera)
+    known = points[:, :2].any(axis=1) & (points[:, :2] >= 0).all(axis=1)
+    if columns == 3:  # noqa: PLR2004
+        known &= points[:, 2] > 0
+    pairs = [(a, b) for a, b in LSP_LIMBS.items() if known[a] and depth[b] > 0]
+    away = [float(np.linalg.norm(points[a, :2] - pixels[b])) for a, b in pairs]
+    return np.array(away), float(np.ptp(pixels[:, 1]))
+
+
+def limb_doubt(found: Sequence[tuple[Array, float]], where: str) -> list[str]:
+    """Returns a sentence where the limbs are far from the key points; nothing where none are known.
+
+    Args:
+        found: what `limb_distances` says of several frames.
+        where: what the sentence begins with.
+    """
+    away = np.concatenate([distances for distances, _ in found] or [np.zeros(0)])
+    if not len(away):
+        return []
+    shares = np.concatenate([distances / max(height, 1.0) for distances, height in found])
+    if np.median(shares) <= FAR_OFF:
+        return []
+    return [
+        f"{where}: ankles, knees, wrists and elbows of the body are {np.median(away):.0f} pixels from the annotated "
+        f"key points (median of {len(away)}, {np.median(shares):.0%} of the person's height; the right body has "
+        f"less than {FAR_OFF:.0%}). Check the body file, the person and the cameras."
+    ]
