@@ -24,7 +24,7 @@ def make_body(settings: BodySettings) -> Body:
         ConfigError: a licensed body without a file.
     """
     if settings.path is not None:
-        return load_body(settings.path)
+        return load_body(settings.path, cut_betas=settings.cut_betas)
     if settings.name == "anny":
         return embedded_body()
     raise ConfigError(

@@ -51,6 +51,7 @@ class BodySettings:
 
     name: str = "anny"
     path: str | None = None
+    cut_betas: bool = False
 
 
 @dataclass

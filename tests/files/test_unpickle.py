@@ -126,7 +126,28 @@ ATTACKS = {
     "subclass": b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\ndtype\n(I0\ntS'b'\ntR.",
     "codec": b"c_codecs\nencode\n(S'aaaa'\nS'zip'\ntR.",
     "other object": b"ccopy_reg\n_reconstructor\n(cnumpy\nndarray\nc__builtin__\nobject\nNtR.",
-    "set": b"\x80\x04\x8f.",
+    "frozen set": b"\x80\x04(\x91.",
+    "set that holds a class": b"\x80\x04\x8f(cnumpy\nndarray\n\x90.",
+    "set that holds a class in a tuple": b"\x80\x04\x8f(cnumpy\nndarray\n\x85\x90.",
+    "called set that holds a class": b"c__builtin__\nset\n((lcnumpy\nndarray\natR.",
+    "set that holds what is not allowed": b"\x80\x04\x8f(cos\nsystem\n\x90.",
+    "set in a set": b"\x80\x04\x8f(\x8f\x90.",
+    "called set in a set": b"c__builtin__\nset\n((lc__builtin__\nset\n((ltRatR.",
+    "set that holds itself": b"\x80\x04\x8f\x94(h\x00\x90.",
+    "set of letters": b"c__builtin__\nset\n(S'abc'\ntR.",
+    "set of nothing": b"c__builtin__\nset\n(tR.",
+    "set with two arguments": b"c__builtin__\nset\n((l(ltR.",
+    "state on a set": b"\x80\x04\x8f}S'add'\ncnumpy\nndarray\nsb.",
+    "state on a called set": b"cbuiltins\nset\n((ltR}S'__reduce__'\nI1\nsb.",
+    "state on the class of sets": b"cbuiltins\nset\n}S'x'\nI1\nsb.",
+    "call of a set": b"\x80\x04\x8f(tR.",
+    "item in a set": b"\x80\x04\x8fI1\nI1\ns.",
+    "append to a set": b"\x80\x04\x8fI1\na.",
+    "appends to a set": b"\x80\x04\x8f(I1\ne.",
+    "set elements for a list": b"\x80\x04](I1\n\x90.",
+    "set elements for a dict": b"\x80\x04}(I1\n\x90.",
+    "set as a key": b"\x80\x04}\x8fI1\ns.",
+    "set by the function for instances": b"ccopy_reg\n_reconstructor\n(c__builtin__\nset\nc__builtin__\nobject\nNtR.",
     "tuple as key": b"}(I1\ntI2\ns.",
     "append to a dict": b"}I1\na.",
 }
@@ -201,6 +222,34 @@ def test_one_block_named_often_is_refused():
         loads(b"(" + block + one * 1000 + b"l.", "bomb")
 
 
+@pytest.mark.parametrize(
+    "copy",
+    [
+        b"(c__builtin__\nset\n(g0\ntR",
+        b"(ccollections\nOrderedDict\n(g1\ntR",
+        array_pickle(b"(I50000\nt", b"O", b"g0\n")[:-1],
+    ],
+)
+def test_one_list_copied_often_is_refused(copy):
+    numbers = b"(lp0\n" + b"I1\na" * 50_000
+    pairs = b"(lp1\n" + b"(I1\nI1\nla" * 50_000
+    with pytest.raises(DataError, match="far larger than the file"):
+        loads(b"(" + numbers + pairs + copy * 5000 + b"l.", "bomb")
+
+
+def test_a_large_set_is_read_and_takes_no_hashes():
+    content = b"\x80\x04\x8f(" + b"K\x01" * 500_000 + b"\x90."
+    assert loads(content, "set") == [1] * 500_000
+
+
+@pytest.mark.parametrize("protocol", range(6))
+def test_sets_of_words_and_numbers_become_lists(protocol):
+    wanted = {"b", "a", 3, 2.5, True, b"c"}
+    read = loads(pickle.dumps({"words": wanted, "none": set()}, protocol), "set")
+    assert isinstance(read["words"], list) and len(read["words"]) == len(wanted)
+    assert set(read["words"]) == wanted and read["none"] == []
+
+
 def test_mutations_never_escape():
     """Random damage gives data or a DataError: no other exception, no call."""
     rng = np.random.default_rng(0)
@@ -222,11 +271,12 @@ class Ch:
     """Pickles as chumpy's classes do, under their names."""
 
 
-def chumpy_pickle(state: dict, name: str = "Ch", protocol: int = 2) -> bytes:
+def chumpy_pickle(state: dict, name: str = "Ch", protocol: int = 2, copies: int = 1) -> bytes:
     module = "chumpy.reordering" if name != "Ch" else "chumpy.ch"
     kind = type(name, (), {"__module__": module})
-    thing = kind()
-    thing.__dict__.update(state)
+    things = [kind() for _ in range(copies)]
+    for thing in things:
+        thing.__dict__.update(state)
     import sys
     import types
 
@@ -234,7 +284,7 @@ def chumpy_pickle(state: dict, name: str = "Ch", protocol: int = 2) -> bytes:
     setattr(fake, name, kind)
     sys.modules["chumpy"], sys.modules[module] = types.ModuleType("chumpy"), fake
     try:
-        return pickle.dumps({"shapedirs": thing}, protocol)
+        return pickle.dumps({"shapedirs": things[0], "others": things[1:]}, protocol)
     finally:
         del sys.modules["chumpy"], sys.modules[module]
 
@@ -242,7 +292,7 @@ def chumpy_pickle(state: dict, name: str = "Ch", protocol: int = 2) -> bytes:
 @pytest.mark.parametrize("protocol", [0, 2])
 def test_chumpy_arrays_are_read_without_chumpy(protocol):
     array = np.arange(6.0).reshape(2, 3)
-    read = loads(chumpy_pickle({"x": array, "_dirty_vars": [], "_itr": None}, protocol=protocol), "smpl")
+    read = loads(chumpy_pickle({"x": array, "_dirty_vars": {"x"}, "_itr": None}, protocol=protocol), "smpl")
     np.testing.assert_array_equal(read["shapedirs"], array)
 
 
@@ -257,6 +307,57 @@ def test_chumpy_arrays_are_read_without_chumpy(protocol):
 def test_chumpy_reorderings_are_followed(name, state, wanted):
     read = loads(chumpy_pickle({"a": np.arange(6.0).reshape(2, 3), **state}, name), "smpl")
     np.testing.assert_array_equal(read["shapedirs"], wanted)
+
+
+def test_chumpy_parts_in_a_row_are_joined():
+    parts = np.arange(4.0).reshape(2, 2), np.arange(6.0).reshape(2, 3)
+    state = {"dterms": ["m0", "m1"], "m0": parts[0], "m1": parts[1], "axis": 1}
+    read = loads(chumpy_pickle(state, "Concatenate"), "smpl")
+    np.testing.assert_array_equal(read["shapedirs"], np.concatenate(parts, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("name", "state"),
+    [
+        ("Concatenate", {"dterms": ["m0"], "axis": 0}),
+        ("Concatenate", {"dterms": ["m0"], "m0": np.ones(3), "axis": 5}),
+        ("Concatenate", {"dterms": 7, "axis": 0}),
+        ("Concatenate", {"dterms": [["m0"]], "axis": 0}),
+        ("Concatenate", {"dterms": [], "axis": 0}),
+        ("Select", {"a": np.ones(3), "idxs": np.array([5])}),
+        ("Select", {"a": np.ones(3), "idxs": np.array([0]), "preferred_shape": (7,)}),
+        ("Select", {"a": np.array(["x"]), "idxs": np.array([0])}),
+        ("Ch", {"x": np.array([None])}),
+        ("Ch", {}),
+    ],
+)
+def test_chumpy_objects_that_do_not_fit_stay_unresolved(name, state):
+    read = loads(chumpy_pickle(state, name), "smpl")
+    assert isinstance(read["shapedirs"], Unresolved)
+
+
+@pytest.mark.parametrize(
+    ("name", "state", "copies"),
+    [
+        ("Concatenate", {"dterms": ["m0"] * 50_000, "m0": np.ones(10_000), "axis": 0}, 1),
+        ("Select", {"a": np.ones(30_000), "idxs": np.zeros(80_000, np.int8)}, 100),
+        ("Reshape", {"a": np.ones((300, 300)).T, "newshape": -1}, 100),
+    ],
+)
+def test_chumpy_objects_that_would_be_far_larger_than_the_file_are_refused(name, state, copies):
+    with pytest.raises(DataError, match="far larger than the file"):
+        loads(chumpy_pickle(state, name, copies=copies), "bomb")
+
+
+def test_one_sparse_matrix_made_often_is_refused():
+    sparse = pytest.importorskip("scipy.sparse")
+    parts = sparse.csc_matrix(np.ones((100, 100))).__dict__
+    many = []
+    for _ in range(100):
+        many.append(sparse.csc_matrix((1, 1)))
+        many[-1].__dict__.update(parts)
+    with pytest.raises(DataError, match="far larger than the file"):
+        loads(pickle.dumps(many, 2), "bomb")
 
 
 def test_chumpy_expressions_stay_unresolved():

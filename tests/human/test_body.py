@@ -11,7 +11,7 @@ from occfusion.errors import DataError
 from occfusion.files.bodyfile import save_body_arrays
 from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.human import Body, embedded_body, load_body
-from occfusion.human.body import DA_POSE
+from occfusion.human.body import DA_POSE, leading_betas
 from oracles.people import make_arrays, make_pose
 from oracles.skinning import pose_body
 
@@ -72,10 +72,35 @@ def test_pose_in_either_shape(body):
 
 def test_wrong_sizes(body):
     pose = make_pose(7)
-    with pytest.raises(DataError, match="at most 10"):
-        body(torch.zeros(11), *unpack(pose)[1:])
+    with pytest.raises(DataError, match="one vector"):
+        body(torch.zeros(1, 10), *unpack(pose)[1:])
     with pytest.raises(DataError, match="69"):
         body(pose.betas, pose.global_orient, torch.zeros(63), pose.transl)
+
+
+def test_shape_components_that_the_body_lacks():
+    """AMASS gives 16 numbers: left out exactly where they are zero, else only when asked to."""
+    arrays, pose = make_arrays(vertices=6), make_pose(7)
+    strict, cutting = Body(arrays, torch.float64), Body(arrays, torch.float64, cut_betas=True)
+    wanted = strict(*unpack(pose))[0]
+    zeros = torch.cat([pose.betas, torch.zeros(6, dtype=torch.float64)])
+    more = torch.cat([pose.betas, torch.full((6,), 0.1, dtype=torch.float64)])
+    assert torch.equal(strict(zeros, *unpack(pose)[1:])[0], wanted)
+    assert torch.equal(cutting(more, *unpack(pose)[1:])[0], wanted)
+    with pytest.raises(DataError, match=r"16 shape components, and the body has 10.*body\.cut_betas=true"):
+        strict(more, *unpack(pose)[1:])
+
+
+def test_leading_betas_in_numpy():
+    betas = np.zeros((3, 16))
+    betas[:, :10] = 1.0
+    assert leading_betas(betas, 300, "poses.npz") is betas
+    np.testing.assert_array_equal(leading_betas(betas, 10, "poses.npz"), np.ones((3, 10)))
+    for wrong in (1e-9, np.nan):
+        betas[2, 15] = wrong
+        with pytest.raises(DataError, match=r"poses\.npz, betas: 16 shape components"):
+            leading_betas(betas, 10, "poses.npz, betas")
+        assert leading_betas(betas, 10, "poses.npz, betas", cut=True).shape == (3, 10)
 
 
 def test_gradient():

@@ -36,6 +36,24 @@ def load_npy(path: Path | str) -> Any:
     return _parse(read_bytes(path, MAX_PICKLE_BYTES), str(path))
 
 
+def npy_form(path: Path | str) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Returns shape and dtype of a `.npy` file, reading only its beginning.
+
+    Raises:
+        DataError: missing, or not a NumPy file.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            shape, _, dtype = _header(io.BytesIO(stream.read(_MAX_HEADER)))
+    except FileNotFoundError:
+        raise DataError(f"{path}: file not found.") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except _HEADER_DAMAGE as error:
+        raise DataError(f"{path}: not a NumPy file, or damaged ({error}); get the file again.") from error
+    return shape, dtype
+
+
 def _parse(content: bytes, source: str) -> Any:
     stream = io.BytesIO(content)
     try:
@@ -98,5 +116,8 @@ def _member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, source: str) -> ND
         raise DataError(f"{source}: larger than it declares; get the file again.")
     array = _parse(content, source)
     if not isinstance(array, np.ndarray) or array.dtype.hasobject:
-        raise DataError(f"{source}: holds Python objects; only plain arrays are read from a .npz.")
+        raise DataError(
+            f"{source}: holds Python objects; only plain arrays are read from a .npz. Save it again as numbers: "
+            "a sparse matrix by way of .toarray(), a chumpy object by way of np.array()."
+        )
     return array

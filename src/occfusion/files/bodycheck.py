@@ -23,6 +23,17 @@ _WEIGHT_SLACK = 1e-3
 _HEIGHT = (0.5, 3.0)
 """Plausible height of the template in metres; outside, the file is in other units."""
 
+_OTHER_MODELS = {
+    52: "SMPL-H: SMPL's mesh with jointed fingers, whose weights and blend shapes are not SMPL's",
+    55: "SMPL-X: another mesh, with jointed fingers, jaw and eyes",
+    16: "MANO: a hand alone",
+    5: "FLAME: a head alone",
+}
+"""What the relatives of SMPL are, by their number of joints."""
+
+_STAR_FEATURES = 93
+"""Numbers that drive STAR's pose blend shapes: 23 quaternions and one shape component."""
+
 WHERE_TO_GET = (
     "SMPL's files come from https://smpl.is.tue.mpg.de after registration; "
     "`dataset=synthetic` needs none, its body is part of the package."
@@ -66,6 +77,7 @@ class BodyChecker:
 
     def body(self) -> BodyArrays:
         """Returns the body, or raises DataError naming file and key."""
+        self._refuse_relatives()
         template = self._array("v_template", ("V", 3))
         vertices = template.shape[0]
         if not _HEIGHT[0] <= float(np.ptp(template, axis=0).max(initial=0.0)) <= _HEIGHT[1]:
@@ -86,6 +98,22 @@ class BodyChecker:
             template, shapedirs, posedirs, regressor, joints, directions,
             self._weights(vertices), parents, self._faces(vertices),
         )  # fmt: skip
+
+    def _refuse_relatives(self) -> None:
+        """Names a file of another model before its shapes are found to differ."""
+        table, posedirs = (_shape(self._content.get(key)) for key in ("kintree_table", "posedirs"))
+        joints = table[1] if len(table) == 2 else NUM_JOINTS
+        if joints != NUM_JOINTS:
+            what = f" This is {_OTHER_MODELS[joints]}." if joints in _OTHER_MODELS else ""
+            raise DataError(
+                f"{self._source}: the body has {joints} joints, expected {NUM_JOINTS} (SMPL).{what} Use SMPL's own "
+                f"file, such as SMPL_NEUTRAL.pkl or basicmodel_neutral_lbs_10_207_0_v1.1.0.pkl. {WHERE_TO_GET}"
+            )
+        if posedirs[-1:] == (_STAR_FEATURES,):
+            raise DataError(
+                f"{self._source}: the pose blend shapes take {_STAR_FEATURES} numbers, SMPL's {_POSE_FEATURES}. This "
+                f"is STAR, whose shapes and blend shapes are not SMPL's. Use SMPL's own file. {WHERE_TO_GET}"
+            )
 
     def _has(self, key: str) -> bool:
         return self._content.get(key) is not None
@@ -170,8 +198,7 @@ class BodyChecker:
             parents = self._integers("parents", ("joints",))
         if len(parents) != NUM_JOINTS:
             raise DataError(
-                f"{self._source}: the body has {len(parents)} joints, expected {NUM_JOINTS} (SMPL); SMPL-H "
-                "and SMPL-X bodies are not supported."
+                f"{self._source}: the body has {len(parents)} joints, expected {NUM_JOINTS} (SMPL)."
             )
         parents = parents.copy()
         parents[0] = -1  # written as 2^32 - 1 in SMPL's files
@@ -188,6 +215,10 @@ class BodyChecker:
                 f"{self._source}: faces name vertices outside 0..{vertices - 1}, or there are none."
             )
         return faces
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    return value.shape if isinstance(value, (np.ndarray, SparseMatrix)) else ()
 
 
 def _show(shape: tuple[int | str, ...]) -> str:

@@ -96,6 +96,27 @@ class KeptState(Inert):
         self.state = state
 
 
+class SetRecord(Inert):
+    """A set of words and numbers, kept in order: nothing is hashed, and nothing else may be in it.
+
+    chumpy's arrays carry one: the names of their parts that changed last.
+    """
+
+    def __init__(self) -> None:
+        self.items: list[str | bytes | int | float] = []
+
+    def add(self, items: list[Any]) -> None:
+        """Appends elements.
+
+        Raises:
+            NotData: one of them is no word or number.
+        """
+        for item in items:
+            if not isinstance(item, (str, bytes, int, float)):
+                raise NotData(f"a set element of type {type(item).__name__}")
+        self.items.extend(items)
+
+
 @dataclass(frozen=True)
 class SparseMatrix:
     """A sparse matrix as coordinates, in place of scipy's classes.
@@ -200,6 +221,15 @@ def _instance(kind: Any, *_base: Any) -> Any:
     return kind.build()
 
 
+def _set(*args: Any) -> SetRecord:
+    """The call by which pickles up to protocol 3 and Python 2 rebuilt a set: `set([...])`."""
+    if len(args) != 1 or not isinstance(args[0], list):
+        raise NotData("a set that is not made of one list")
+    record = SetRecord()
+    record.add(args[0])
+    return record
+
+
 def _never(*_args: Any) -> None:
     raise NotData("a call of a class that may only be named")
 
@@ -218,6 +248,7 @@ def _table() -> Mapping[tuple[str, str], Global]:
     for builtins, copyreg in (("builtins", "copyreg"), ("__builtin__", "copy_reg")):
         table[builtins, "bytes"] = _empty_bytes
         table[builtins, "object"] = _never
+        table[builtins, "set"] = _set
         table[copyreg, "_reconstructor"] = _instance
     for kind in ("csc", "csr", "coo"):
         for module in (f"scipy.sparse.{kind}", f"scipy.sparse._{kind}"):

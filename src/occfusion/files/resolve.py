@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,27 +15,44 @@ from occfusion.files.inert import (
     Inert,
     KeptState,
     NotData,
+    SetRecord,
     SparseMatrix,
     Unresolved,
 )
+
+Spend = Callable[[int], None]
+"""Counts bytes that are about to be taken, and refuses when they are too many."""
+
+_EXPRESSION = "it is an expression, not an array"
+_NUMBER = 8
+"""Bytes of the widest number that arrays are widened to."""
+
+_SPARSE_PARTS = ("data", "data", "indices", "indptr", "row", "col", "coords")
+"""Attributes that are widened; `data` twice, because each value gets a row and a column."""
 
 MAX_DEPTH = 100
 """Deepest nesting of containers; real files have less than ten levels."""
 
 
-def resolve(root: Any) -> Any:
-    """Returns `root` with every record replaced by its array, matrix or `Unresolved`.
+def resolve(root: Any, budget: int) -> Any:
+    """Returns `root` with every record replaced by its array, list, matrix or `Unresolved`.
+
+    Args:
+        root: what a pickle was read to.
+        budget: bytes that objects of chumpy and scipy may be worked out to, all of them together.
 
     Raises:
-        NotData: containers are nested deeper than `MAX_DEPTH`, or an array never got its content.
+        NotData: containers are nested deeper than `MAX_DEPTH`, an array never got its content, or the budget is
+            spent.
     """
-    return _Resolver().visit(root, 0)
+    return _Resolver(budget).visit(root, 0)
 
 
 class _Resolver:
     """Walks shared and cyclic structures once: each container is replaced in one place."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: int) -> None:
+        self._budget = budget
         self._done: dict[int, Any] = {}
         self._alive: list[Any] = []  # keeps ids from being reused
 
@@ -76,10 +94,18 @@ class _Resolver:
         if isinstance(item, KeptState):
             self._done[id(item)] = Unresolved(item.name, "it refers to itself")
             state = self.visit(item.state, depth + 1)
-            return _sparse(item.name, state) if item.name.startswith("scipy.") else _chumpy(item.name, state)
+            work_out = _sparse if item.name.startswith("scipy.") else _chumpy
+            return work_out(item.name, state, self._spend)
+        if isinstance(item, SetRecord):
+            return item.items
         if isinstance(item, (Global, Inert)):
             return Unresolved(getattr(item, "name", type(item).__name__), "it is a class, not a value")
         raise NotData(f"a value of type {type(item).__name__}")
+
+    def _spend(self, size: int) -> None:
+        self._budget -= size
+        if self._budget < 0:
+            raise NotData("arrays that together are far larger than the file")
 
     def _array(self, array: NDArray[Any], depth: int) -> NDArray[Any]:
         if array.dtype.hasobject:
@@ -90,18 +116,23 @@ class _Resolver:
         return array
 
 
-def _chumpy(name: str, state: dict[str, Any]) -> Any:
-    """Returns the array behind a chumpy object: a leaf, or a pure reordering of one."""
-    inner = state.get("a", state.get("x"))
-    if not isinstance(inner, np.ndarray):
-        why = inner.reason if isinstance(inner, Unresolved) else "it is an expression, not an array"
-        return Unresolved(name, why)
+def _chumpy(name: str, state: dict[str, Any], spend: Spend) -> Any:
+    """Returns the array behind a chumpy object: a leaf, a reordering of one, or several in a row."""
+    kind = name.rsplit(".", 1)[-1]
     try:
-        match name.rsplit(".", 1)[-1]:
-            case "Ch":
-                return inner
+        if kind == "Concatenate":
+            return _joined(name, state, spend)
+        inner = state.get("a", state.get("x"))
+        if not _is_numbers(inner):
+            return Unresolved(name, _reason(inner))
+        if kind == "Ch":
+            return inner
+        spend(inner.nbytes)  # each of these may copy it
+        match kind:
             case "Select":
-                picked = inner.ravel()[np.asarray(state["idxs"])]
+                picks = np.asarray(state["idxs"])
+                spend(picks.size * inner.itemsize)
+                picked = inner.ravel()[picks]
                 return picked.reshape(state["preferred_shape"]) if "preferred_shape" in state else picked
             case "transpose":
                 return np.transpose(inner, state.get("axes"))
@@ -109,13 +140,33 @@ def _chumpy(name: str, state: dict[str, Any]) -> Any:
                 return inner.reshape(state["newshape"])
     except (KeyError, IndexError, TypeError, ValueError) as error:
         return Unresolved(name, f"its parts do not fit ({error})")
-    return Unresolved(name, "it is an expression, not an array")
+    return Unresolved(name, _EXPRESSION)
 
 
-def _sparse(name: str, state: dict[str, Any]) -> SparseMatrix | Unresolved:
+def _joined(name: str, state: dict[str, Any], spend: Spend) -> Any:
+    """Returns chumpy's `Concatenate`: its parts are attributes that `dterms` names in order."""
+    parts = []
+    for term in state["dterms"]:
+        parts.append(state[term])
+        if not _is_numbers(parts[-1]):
+            return Unresolved(name, _reason(parts[-1]))
+        spend(_NUMBER * (parts[-1].size + 1))
+    return np.concatenate(parts, axis=state["axis"])
+
+
+def _is_numbers(value: Any) -> TypeGuard[NDArray[Any]]:
+    return isinstance(value, np.ndarray) and value.dtype.kind in "biuf"
+
+
+def _reason(inner: Any) -> str:
+    return inner.reason if isinstance(inner, Unresolved) else _EXPRESSION
+
+
+def _sparse(name: str, state: dict[str, Any], spend: Spend) -> SparseMatrix | Unresolved:
     """Returns the matrix of a scipy state: compressed columns or rows, or coordinates."""
     try:
         rows, cols = (int(n) for n in state.get("_shape", state.get("shape")))  # type: ignore[union-attr]
+        spend(_NUMBER * sum(np.size(state[key]) for key in _SPARSE_PARTS if key in state))
         data = np.asarray(state["data"], dtype=np.float64)
         if "coo" in name:
             row, col = state["coords"] if "coords" in state else (state["row"], state["col"])

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from occfusion.errors import DataError
-from occfusion.files.inert import GLOBALS, Global, Inert, NotData, chumpy_global
+from occfusion.files.inert import GLOBALS, Global, Inert, NotData, SetRecord, chumpy_global
 from occfusion.files.resolve import resolve
 
 MAX_PICKLE_BYTES = 1 << 30
@@ -23,6 +23,11 @@ MAX_PICKLE_BYTES = 1 << 30
 
 _COPY_ALLOWANCE = 4
 """Arrays may add up to this many times the file; more is a small file that names one block often."""
+
+_WORK_ALLOWANCE = 8
+"""What chumpy's and scipy's objects are worked out to may add up to this many times the file."""
+
+_SLACK = 1 << 20
 
 _FOREIGN_OPCODES = {
     pickle.PERSID: "persistent ids",
@@ -35,9 +40,7 @@ _FOREIGN_OPCODES = {
     pickle.NEWOBJ_EX: "instances with keyword arguments",
     pickle.NEXT_BUFFER: "out-of-band buffers",
     pickle.READONLY_BUFFER: "out-of-band buffers",
-    pickle.EMPTY_SET: "sets",
-    pickle.ADDITEMS: "sets",
-    pickle.FROZENSET: "sets",
+    pickle.FROZENSET: "frozen sets",
 }
 
 
@@ -54,7 +57,16 @@ class DataUnpickler(pickle._Unpickler):
 
     def __init__(self, stream: Any, size: int) -> None:
         super().__init__(stream, fix_imports=False, encoding="latin1")
-        self._array_budget = _COPY_ALLOWANCE * size + (1 << 20)
+        self._array_budget = _COPY_ALLOWANCE * size + _SLACK
+        self._work_budget = _WORK_ALLOWANCE * size + _SLACK
+
+    def load(self) -> Any:
+        """Returns the data, with every record replaced by its array.
+
+        Raises:
+            NotData: the pickle asks for something that is no data.
+        """
+        return resolve(super().load(), self._work_budget)
 
     def find_class(self, module: str, name: str) -> Global:
         """Returns the stand-in of a permitted name.
@@ -78,8 +90,9 @@ class DataUnpickler(pickle._Unpickler):
         return function.build(*args)
 
     def _spend(self, parts: Any) -> None:
+        """Counts bytes, letters and elements that are about to be copied, which the file may name often."""
         if isinstance(parts, tuple):
-            self._array_budget -= sum(len(p) for p in parts if isinstance(p, (bytes, bytearray, str)))
+            self._array_budget -= sum(len(p) for p in parts if isinstance(p, (bytes, bytearray, str, list)))
         if self._array_budget < 0:
             raise NotData("arrays that together are far larger than the file")
 
@@ -144,6 +157,17 @@ def _appends(machine: Any) -> None:
     machine.extend(machine.stack[-1], items)
 
 
+def _empty_set(machine: Any) -> None:
+    machine.append(SetRecord())
+
+
+def _add_items(machine: Any) -> None:
+    items = machine.pop_mark()
+    if not isinstance(machine.stack[-1], SetRecord):
+        raise NotData(f"set elements for {type(machine.stack[-1]).__name__}")
+    machine.stack[-1].add(items)
+
+
 def _byte_array(machine: Any) -> None:
     (length,) = struct.unpack("<Q", machine.read(8))
     if length > MAX_PICKLE_BYTES:
@@ -170,6 +194,8 @@ DataUnpickler.dispatch.update(
         pickle.APPEND[0]: _append,
         pickle.APPENDS[0]: _appends,
         pickle.BYTEARRAY8[0]: _byte_array,
+        pickle.EMPTY_SET[0]: _empty_set,
+        pickle.ADDITEMS[0]: _add_items,
     }
 )
 
@@ -201,13 +227,13 @@ def loads(content: bytes, source: str) -> Any:
 
 
 def explained(read: Callable[[], Any], source: str) -> Any:
-    """Returns the resolved data of what `read` unpickles; its errors become ours.
+    """Returns the data that `read` unpickles; its errors become ours.
 
     Raises:
         DataError: as `loads`.
     """
     try:
-        return resolve(read())
+        return read()
     except NotData as refusal:
         raise DataError(
             f"{source}: not allowed: {refusal}. The file asks for more than arrays, numbers and text; "

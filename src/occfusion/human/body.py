@@ -7,9 +7,10 @@ import math
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from occfusion.errors import DataError
@@ -29,6 +30,9 @@ inverse always exists.
 """
 
 
+Betas = TypeVar("Betas", Tensor, NDArray[Any])
+
+
 class Rest(NamedTuple):
     """A body before posing: `vertices [V, 3]` and `joints [24, 3]`, metres."""
 
@@ -45,6 +49,7 @@ class Body(nn.Module):
     Args:
         arrays: the checked content of a body file.
         dtype: floating point type of the buffers.
+        cut_betas: leave out shape components that are given and that the body does not have; else an error.
     """
 
     v_template: Tensor
@@ -55,8 +60,11 @@ class Body(nn.Module):
     weights: Tensor
     faces: Tensor
 
-    def __init__(self, arrays: BodyArrays, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(
+        self, arrays: BodyArrays, dtype: torch.dtype = torch.float32, cut_betas: bool = False
+    ) -> None:
         super().__init__()
+        self._cut_betas = cut_betas
         self.parents: tuple[int, ...] = tuple(int(parent) for parent in arrays.parents)
         floats = {
             "v_template": arrays.v_template,
@@ -89,13 +97,14 @@ class Body(nn.Module):
         """Returns posed vertices `[V, 3]` and joints `[24, 3]` in metres, in the conventions of smplx.
 
         Args:
-            betas: shape components, `[B]`; fewer than the body has are completed with zeros.
+            betas: shape components, `[B]`; fewer than the body has are completed with zeros, more are left out
+                where they are zero.
             global_orient: rotation about the pelvis joint as axis-angle, `[3]`, radians.
             body_pose: axis-angles of joints 1 to 23 relative to their parents, `[69]` or `[23, 3]`, radians.
             transl: added last, `[3]`, metres.
 
         Raises:
-            DataError: more betas than the body has, or inputs of another shape.
+            DataError: betas that are not zero beyond those the body has, or inputs of another shape.
         """
         rotations = self.rotations(global_orient, body_pose)
         rest = self.rest(betas)
@@ -108,7 +117,7 @@ class Body(nn.Module):
         """Returns the shaped body in its rest pose, without pose blend shapes.
 
         Raises:
-            DataError: more betas than the body has.
+            DataError: as `check_betas`.
         """
         betas = self.check_betas(betas)
         return Rest(
@@ -117,17 +126,16 @@ class Body(nn.Module):
         )
 
     def check_betas(self, betas: Tensor) -> Tensor:
-        """Returns the shape components as a vector in the body's dtype.
+        """Returns the shape components that the body has, as a vector in its dtype.
 
         Raises:
-            DataError: it is no vector, or longer than the body has components.
+            DataError: it is no vector, or is not zero beyond the body's components, unless they are to be left out.
         """
-        if betas.dim() != 1 or len(betas) > self.num_betas:
+        if betas.dim() != 1:
             raise DataError(
-                f"betas of shape {list(betas.shape)}: this body takes one vector of at most {self.num_betas} "
-                "shape components; use a body file with more, or drop those at the end"
+                f"betas of shape {list(betas.shape)}: a body takes one vector of shape components"
             )
-        return betas.to(self.v_template)
+        return leading_betas(betas, self.num_betas, "betas", cut=self._cut_betas).to(self.v_template)
 
     def rotations(self, global_orient: Tensor, body_pose: Tensor) -> Tensor:
         """Returns the rotation of each joint relative to its parent, `[24, 3, 3]`.
@@ -187,13 +195,45 @@ class Body(nn.Module):
         yield from self.named_buffers(recurse=False)
 
 
-def load_body(path: Path | str, dtype: torch.dtype = torch.float32) -> Body:
+def leading_betas(betas: Betas, count: int, where: str, *, cut: bool = False) -> Betas:
+    """Returns the shape components that a body has; exact where the others are zero.
+
+    Motion of AMASS has 16 numbers, SMPL 1.0 has 10 components and SMPL 1.1 has 300.
+
+    Args:
+        betas: `[B]`, or `[N, B]` for several moments.
+        count: components the body has; fewer numbers come back as they are.
+        where: what errors call the numbers, such as file and key.
+        cut: leave out what is not zero too.
+
+    Raises:
+        DataError: a number beyond `count` is not zero (or not finite), and `cut` is not set.
+    """
+    given = betas.shape[-1]
+    if given <= count:
+        return betas
+    if not cut and bool((betas[..., count:] != 0).any()):
+        raise DataError(
+            f"{where}: {given} shape components, and the body has {count}; the last {given - count} are not all zero. "
+            f"Use a body file with {given} or more (SMPL 1.1 has 300), or leave the last ones out with "
+            "body.cut_betas=true (in Python: cut_betas=True): the figure then differs slightly from the one that "
+            "was measured."
+        )
+    return betas[..., :count]
+
+
+def load_body(path: Path | str, dtype: torch.dtype = torch.float32, *, cut_betas: bool = False) -> Body:
     """Returns the body of a `.npz`, `.safetensors` or official `.pkl` file with SMPL's keys.
+
+    Args:
+        path: the file.
+        dtype: floating point type of the body.
+        cut_betas: leave out shape components that are given and that the body does not have; else an error.
 
     Raises:
         DataError: the file is missing, unsafe, damaged, or no body with 24 joints.
     """
-    return Body(load_body_arrays(path), dtype)
+    return Body(load_body_arrays(path), dtype, cut_betas)
 
 
 def embedded_body(dtype: torch.dtype = torch.float32) -> Body:
