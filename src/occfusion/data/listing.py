@@ -11,30 +11,50 @@ from occfusion.errors import DataError
 SUFFIXES = (".png", ".jpg", ".jpeg")
 """What is taken for a picture, in any case of letters."""
 
+MASK_SUFFIXES = (*SUFFIXES, ".npy")
+"""What is taken for a mask: InstantAvatar keeps PeopleSnapshot's as arrays."""
+
 MAX_DIGITS = 12
 """Longest number read from a name; `int` refuses a few thousand digits with an error of its own."""
 
 _NUMBER = re.compile(r"(\d+)(?!.*\d)", re.DOTALL)
 
 
-def pictures_in(folder: Path) -> dict[str, Path]:
+def pictures_in(
+    folder: Path, suffixes: tuple[str, ...] = SUFFIXES, prefer: str | None = None
+) -> dict[str, Path]:
     """Returns the pictures of a folder by their name without suffix, in natural order.
+
+    Hidden files are none: systems leave such as `._frame_000000.png` behind.
+
+    Args:
+        folder: where to look.
+        suffixes: what is taken for a picture, in small letters.
+        prefer: the suffix to take where several pictures have one name; that is refused when None.
 
     Raises:
         DataError: no such folder, no picture in it, or two pictures of one name.
     """
     try:
-        found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+        found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."]
     except OSError as error:
         raise DataError(f"{folder}: cannot be read ({error.strerror or error}).") from error
     if not found:
-        raise DataError(f"{folder}: holds no pictures ({', '.join(SUFFIXES)}).")
+        raise DataError(f"{folder}: holds no pictures ({', '.join(suffixes)}).")
     by_name: dict[str, Path] = {}
     for path in sorted(found, key=lambda path: natural(path.name)):
+        if path.stem in by_name and prefer in (path.suffix.lower(), by_name[path.stem].suffix.lower()):
+            by_name[path.stem] = path if path.suffix.lower() == prefer else by_name[path.stem]
+            continue
         if path.stem in by_name:
             raise DataError(f"{path}: there is also {by_name[path.stem].name}; keep one of them.")
         by_name[path.stem] = path
     return by_name
+
+
+def strays(folder: Path, taken: Iterable[Path]) -> list[str]:
+    """Returns the names of what lies in a folder and was not taken, in natural order."""
+    return sorted((path.name for path in set(folder.iterdir()) - set(taken)), key=natural)
 
 
 def natural(name: str) -> list[tuple[int, int, str]]:
@@ -56,8 +76,16 @@ def require_same(names: Iterable[str], what: str, others: Iterable[str], other_w
             )
 
 
-def partners(pictures: Sequence[str], others: dict[str, Path], folder: Path) -> tuple[Path, ...]:
+def partners(
+    pictures: Sequence[str], others: dict[str, Path], folder: Path, *, more: bool = False
+) -> tuple[Path, ...]:
     """Returns what belongs to each picture: the same name, or else the same last number, as `mask_0007`.
+
+    Args:
+        pictures: names without suffix.
+        others: what there is, by name without suffix.
+        folder: what messages call it.
+        more: there may be some that belong to no picture.
 
     Raises:
         DataError: a picture has no partner; names the first. Or a partner belongs to no picture.
@@ -76,7 +104,7 @@ def partners(pictures: Sequence[str], others: dict[str, Path], folder: Path) -> 
                 )
             chosen.append(by_number[number])
     lost = sorted(set(others) - set(chosen), key=natural)
-    if lost:
+    if lost and not more:
         raise DataError(
             f"{folder}: {lost[0]!r} belongs to no picture ({len(pictures)} pictures, {len(others)} entries "
             "here). Remove it, or complete the pictures."
