@@ -93,10 +93,10 @@ def partners(
     if all(name in others for name in pictures):
         chosen = list(pictures)
     else:
-        by_number = {_last_number(name): name for name in others}
+        by_number = {last_number(name): name for name in others}
         chosen = []
         for name in pictures:
-            number = _last_number(name)
+            number = last_number(name)
             if number is None or number not in by_number:
                 raise DataError(
                     f"{folder}: has nothing for the picture {name!r} ({len(pictures)} pictures, "
@@ -112,6 +112,7 @@ def partners(
     return tuple(others[name] for name in chosen)
 
 
-def _last_number(name: str) -> str | None:
+def last_number(name: str) -> str | None:
+    """Returns the last number in a name without the zeros before it, None where there is none."""
     found = _NUMBER.search(name)
     return None if found is None else found[1].lstrip("0")

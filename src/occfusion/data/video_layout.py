@@ -2,17 +2,17 @@
 
 | file | content |
 |---|---|
-| `cameras.npz` | `intrinsic` 3 x 3, `extrinsic` 4 x 4 (world to camera, metres; or one a frame), `height`, `width` |
-| `poses.npz` | `betas` 1 x B, `global_orient` N x 3, `body_pose` N x 69, `transl` N x 3, or as in `pose_table.py` |
-| `images/`, `masks/` | N pictures and their masks; partners have the same name or the same last number |
+| `cameras.npz` | `intrinsic` 3 x 3, `extrinsic` 4 x 4 (world to camera, metres; or one a picture), `height`, `width` |
+| `poses.npz` and others | poses in any form of `pose_table.py`; which file is read: `pose_tracks.py` |
+| `images/`, `masks/` | pictures and their masks, `.png`, `.jpg` or `.npy`; partners have the same name or number |
 
-Principal points count pixel centres as +0.5, as COLMAP's do; `poses_optimized.npz` is read where there is
-no `poses.npz`.
+Where the middle of the first pixel is: `video_form.py`. A scene's frames are the pictures that have a pose and a
+mask; the others are dropped and counted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,18 +20,31 @@ import numpy as np
 from occfusion.data import checks
 from occfusion.data.fixed_camera import FixedCamera
 from occfusion.data.humannerf_layout import need
-from occfusion.data.listing import partners, pictures_in
-from occfusion.data.pose_table import WIDTHS, read_pose_table
+from occfusion.data.listing import MASK_SUFFIXES, pictures_in
+from occfusion.data.pose_table import WIDTHS
+from occfusion.data.pose_tracks import Track, open_tracks
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
+from occfusion.data.video_account import account, remarks
+from occfusion.data.video_form import AUTO, CENTRES, find_form, instantavatar_marks
+from occfusion.data.video_pictures import pair
+from occfusion.data.video_shape import BetasSetting, choose_betas
 from occfusion.errors import DataError
 from occfusion.files.arrays import load_npz
 from occfusion.files.images import image_size
+from occfusion.files.maskarray import SUFFIX
 
-POSE_FILES = ("poses.npz", "poses_optimized.npz")
+CAMERAS = "cameras.npz"
+_CAMERA_KEYS = ("intrinsic", "extrinsic", "height", "width", "distortion", CENTRES)
 
 
 class VideoScene(Scene):
-    """A folder with `cameras.npz` and `poses.npz`."""
+    """A folder with `cameras.npz` and a pose file.
+
+    Attributes:
+        pictures: the picture of each frame, by its place in the folder, from 0.
+    """
+
+    pictures: tuple[int, ...]
 
     def __init__(
         self,
@@ -41,6 +54,10 @@ class VideoScene(Scene):
         person: int | None = None,
         *,
         occluded: bool = True,
+        poses: str | None = None,
+        track_frames: Sequence[object] | None = None,
+        betas: BetasSetting = None,
+        pixel_centres: object = AUTO,
     ) -> None:
         """Reads cameras and poses and lists the pictures.
 
@@ -50,20 +67,44 @@ class VideoScene(Scene):
             masks: mask folder.
             person: the value of the wanted person in masks that number several.
             occluded: whether things may stand before the person.
+            poses: pose file, relative to the folder; None for what InstantAvatar's program would read.
+            track_frames: `[start, stop, step]` of the pictures that the pose file covers; None to find out.
+            betas: shape coefficients: None, a count, `zeros`, numbers, or a file.
+            pixel_centres: `auto`, 0 or 0.5.
 
         Raises:
+            ConfigError: a setting is out of its range or does not fit the folder.
             DataError: a file, key or frame is missing, or what they hold cannot be.
         """
-        self.name, self.root = folder.name, folder
+        self.name, self.root, self.cameras = folder.name, folder, ("camera",)
         self._pelvis, self._person, self._occluded = pelvis, person, occluded
-        there = [name for name in POSE_FILES if (folder / name).is_file()]
-        self._poses_file = folder / (there or POSE_FILES)[0]
         images = pictures_in(folder / "images")
-        self._names, self._pictures = list(images), list(images.values())
-        self._masks = partners(self._names, pictures_in(folder / masks), folder / masks)
-        self.num_frames, self.cameras = len(self._names), ("camera",)
-        self._poses = read_pose_table(self._poses_file, self.num_frames, folder / "images")
-        self._camera = self._read_camera()
+        mask_files = pictures_in(folder / masks, MASK_SUFFIXES, prefer=SUFFIX)
+        marks = instantavatar_marks(folder, mask_files)
+        pairs = pair(list(images), mask_files, folder / masks, complete=not marks)
+        tracks = open_tracks(folder, len(pairs.names), poses, track_frames)
+        shapes = {track.name: choose_betas(betas, track.motion, folder, pelvis) for track in tracks.read}
+        self._betas = {name: found for name, (found, _) in shapes.items()}
+        rows = tracks.rows()
+        self.pictures = tuple(k for k in rows if pairs.names[k] in pairs.masks)
+        if not self.pictures:
+            raise DataError(f"{folder}: no picture has both a pose and a mask.")
+        self._rows: list[tuple[Track, int]] = [rows[k] for k in self.pictures]
+        self._names = [pairs.names[k] for k in self.pictures]
+        self._pictures = [images[name] for name in self._names]
+        self._masks = [pairs.masks[name] for name in self._names]
+        self.num_frames = len(self._names)
+        content = load_npz(folder / CAMERAS, _CAMERA_KEYS)
+        form = find_form(marks, tracks, content, pixel_centres, folder / CAMERAS)
+        self._camera = self._read_camera(content, len(pairs.names), form.shift)
+        self.remarks = remarks(folder / CAMERAS, form, tracks)
+        moving = any(
+            np.ndim(content[key]) == 3 and len(content[key]) > 1 for key in ("intrinsic", "extrinsic")
+        )
+        self.taken = account(
+            folder, pairs, self.pictures, tracks, form, masks, person,
+            shapes=[said for _, said in shapes.values()], moving=moving,
+        )  # fmt: skip
 
     def calibration(self, camera: int) -> Calibration:
         """Returns the one camera there is."""
@@ -71,14 +112,14 @@ class VideoScene(Scene):
 
     def parameters(self, frame: int) -> BodyParameters:
         """Returns the body of a frame."""
-        where = f"{self._poses_file}, row {frame}"
+        track, row = self._rows[frame]
+        where = f"{self.root / track.name}, row {row}"
         values = {
-            key: checks.numbers(self._poses[key][frame], width, f"{where}, {key}")
+            key: checks.numbers(getattr(track.motion, key)[row], width, f"{where}, {key}")
             for key, width in WIDTHS.items()
         }
-        betas = self._poses["betas"]
-        betas = betas[frame if len(betas) == self.num_frames else 0]
-        betas = checks.shape_numbers(betas, f"{where}, betas")
+        betas = self._betas[track.name]
+        betas = checks.shape_numbers(betas[row if len(betas) > 1 else 0], f"{where}, betas")
         body = BodyParameters(betas, values["global_orient"], values["body_pose"], values["transl"])
         return self._camera.carry(frame, body, self._pelvis(betas))
 
@@ -90,29 +131,28 @@ class VideoScene(Scene):
         )
 
     def evidence(self, frame: int) -> tuple[Path, ...]:
-        """Returns the two tables."""
-        return self.root / "cameras.npz", self._poses_file
+        """Returns the camera's file and that of the frame's pose."""
+        return self.root / CAMERAS, self.root / self._rows[frame][0].name
 
-    def _read_camera(self) -> FixedCamera:
-        file = self.root / "cameras.npz"
-        content = load_npz(file)
+    def _read_camera(self, content: dict[str, np.ndarray], pictures: int, shift: float) -> FixedCamera:
+        file = self.root / CAMERAS
         where = [f"{file}, {name}" for name in self._names]
         given = {key: np.asarray(need(content, key, str(file))) for key in ("intrinsic", "extrinsic")}
         rows = {}
         for key, value in given.items():
             if value.ndim == 2:
                 rows[key] = [value] * self.num_frames
-            elif value.ndim == 3 and len(value) in (1, self.num_frames):
-                rows[key] = list(value) * (self.num_frames // len(value))
+            elif value.ndim == 3 and len(value) in (1, pictures):
+                rows[key] = [value[k if len(value) > 1 else 0] for k in self.pictures]
             else:
                 raise DataError(
                     f"{file}, {key} has shape {value.shape}; give one matrix, or one for each of the "
-                    f"{self.num_frames} pictures."
+                    f"{pictures} pictures."
                 )
         self._check_size(content, file)
         bent = content.get("distortion")
         distortions = None if bent is None else [bent] * self.num_frames
-        return FixedCamera("camera", rows["intrinsic"], rows["extrinsic"], distortions, where, 0.0)
+        return FixedCamera("camera", rows["intrinsic"], rows["extrinsic"], distortions, where, shift)
 
     def _check_size(self, content: dict[str, np.ndarray], file: Path) -> None:
         """Raises DataError when the camera was calibrated for pictures of another size."""

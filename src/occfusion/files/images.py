@@ -5,9 +5,10 @@
 | grey | repeated in three channels | as it is |
 | with alpha | blended onto black | alpha ignored |
 | 16 bits | divided by 257 and rounded | divided by 257 when over 255, else labels |
-| palette | its colours | colours other than black |
+| colours, palette | as they are | labels: colours other than black, places in the palette other than 0 |
 | CMYK, EXIF rotation other than upright, neither PNG nor JPEG | refused | refused |
 | cut short | refused | refused |
+| array of numbers, `.npy` | refused | as `maskarray.py` reads it |
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from occfusion.errors import DataError
 from occfusion.files.imageheader import ImageHeader, essential_png, parse_header
+from occfusion.files.maskarray import is_mask_array, mask_array_size, read_mask_array
 from occfusion.files.unpickle import read_bytes
 
 MAX_MEGAPIXELS = 64.0
@@ -36,6 +38,9 @@ MAX_LABEL = 40
 
 _SOFT = 128
 """From here up a soft mask counts as person."""
+
+_GREY = 40
+"""Colours whose channels differ by less are grey: a white mask that was a JPEG once is not quite white."""
 
 _TO_8_BITS = 257
 """65535 / 255."""
@@ -65,6 +70,8 @@ def image_header(path: Path | str) -> ImageHeader:
 
 def image_size(path: Path | str) -> tuple[int, int]:
     """Returns (width, height) in pixels, without decoding."""
+    if is_mask_array(path):
+        return mask_array_size(path)
     header = image_header(path)
     return header.width, header.height
 
@@ -84,24 +91,37 @@ def read_rgb(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArra
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
-def read_mask(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.bool_]:
+def read_mask(
+    path: Path | str, max_megapixels: float = MAX_MEGAPIXELS, *, any_value: bool = False
+) -> NDArray[np.bool_]:
     """Returns where the person is, bool `[H, W]`.
 
-    Rule, on the largest of the colour channels: values up to `MAX_LABEL` are labels, and so is a single
+    Rule: a PNG with a few colours holds the labels of a parser, painted: every colour but black is the person.
+    Otherwise, on the largest of the colour channels: values up to `MAX_LABEL` are labels, and so is a single
     value besides 0: non-zero is the person. With values up to 255 in between, the mask is soft (edges
-    blurred, or stored as JPEG): 128 and more is the person.
+    blurred, or stored as JPEG): 128 and more is the person, or all but 0 where `any_value` says so.
 
     Args:
         path: the file.
         max_megapixels: larger pictures are refused.
+        any_value: every value but 0 is the person in a PNG, however faint; a JPEG is not to be trusted near 0.
 
     Raises:
         DataError: as `read_rgb`; or several values besides 0 of which the largest is between labels
             and a soft mask, which could mean either.
     """
-    image = _decode(Path(path), max_megapixels)
+    array = is_mask_array(path)
+    image = read_mask_array(path, max_megapixels) if array else _decode(Path(path), max_megapixels)
+    painted, exact = False, array or image_header(path).format == "png"
     if image.ndim == 3:
-        image = image[..., :3].max(axis=2)
+        image = image[..., :3]
+        first, second, third = (image[..., channel] for channel in range(3))
+        brightest = np.maximum(np.maximum(first, second), third)
+        spread = brightest - np.minimum(np.minimum(first, second), third)
+        painted = exact and int(spread.max(initial=0)) > _GREY
+        if painted and (person := _painted_labels(image, path, max_megapixels)) is not None:
+            return person
+        image = brightest
     if image.dtype == np.uint16 and image.max(initial=0) < 256:
         image = image.astype(np.uint8)  # labels written with 16 bits
     image = _to_8_bits(image)
@@ -109,7 +129,7 @@ def read_mask(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArr
     if largest <= MAX_LABEL:
         return np.asarray(image > 0)
     values = np.flatnonzero(np.bincount(image.reshape(-1), minlength=256))
-    if len(values[values > 0]) == 1:
+    if len(values[values > 0]) == 1 or (any_value and exact and not painted):
         return np.asarray(image > 0)
     if largest >= 250:  # JPEG does not quite reach 255
         return np.asarray(image >= _SOFT)
@@ -117,6 +137,21 @@ def read_mask(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArr
         f"{path}: mask values up to {largest} are neither labels (up to {MAX_LABEL}) nor a soft mask (up to "
         "255). Write 0 for background and 255 for the person."
     )
+
+
+def _painted_labels(image: NDArray[Any], path: Path | str, max_megapixels: float) -> NDArray[np.bool_] | None:
+    """Returns where a picture `[H, W, 3]` of painted labels has one, None where it has too many colours for that.
+
+    The places in a palette are the labels; of two that are both black, one is somebody.
+    """
+    flat = image.reshape(-1, 3).astype(np.int64)
+    if len(np.unique(flat @ (1 << 32, 1 << 16, 1))) > MAX_LABEL + 1:
+        return None
+    person = image.any(axis=2)
+    places = _decode(Path(path), max_megapixels, as_stored=True)
+    if places.ndim == 2 and not (person & (places == 0)).any():
+        return np.asarray(places > 0)
+    return np.asarray(person)
 
 
 def read_numbers(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.uint16]:
@@ -128,6 +163,8 @@ def read_numbers(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> ND
         DataError: as `read_rgb`; or the file is a JPEG, which changes values, or its channels differ.
     """
     path = Path(path)
+    if is_mask_array(path):
+        return read_mask_array(path, max_megapixels).astype(np.uint16)
     image = _decode(path, max_megapixels, as_stored=True)
     if image_header(path).format == "jpeg":
         raise DataError(f"{path}: a JPEG cannot number people, it changes values; write the masks as PNG.")
