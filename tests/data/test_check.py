@@ -152,7 +152,7 @@ def test_code_in_a_file_is_reported_and_not_run(scene, capsys, tmp_path):
 
 def looked(scene: Source) -> Look:
     poser = Poser(scene.body)
-    look = Look(open_folder(scene.folder, poser.pelvis)[1], poser)
+    look = Look(open_folder(scene.folder, poser)[1], poser)
     for part in (inspect_cameras, inspect_bodies, inspect_masks):
         part(look)
     return look

@@ -13,7 +13,7 @@ from rich.text import Text
 from occfusion.data.findings import Finding, worst
 from occfusion.data.fit import inspect_fit, inspect_other_cameras
 from occfusion.data.inspection import Look, inspect_bodies, inspect_cameras, inspect_files, inspect_masks
-from occfusion.data.layouts import LAYOUTS, sequences_in
+from occfusion.data.layouts import AUTO, LAYOUTS, sequences_in
 from occfusion.data.opening import open_folder
 from occfusion.data.overlay import draw_overlay
 from occfusion.data.posing import Poser
@@ -33,6 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--body", type=Path, help="the SMPL file (default: DATA/body.npz, else the embedded body, roughly)"
     )
+    parser.add_argument(
+        "--layout", default=AUTO, choices=(AUTO, *(layout.name for layout in LAYOUTS)),
+        help="how to read a folder that could be read in several ways (default: look)",
+    )  # fmt: skip
     parser.add_argument("--camera", type=int, default=0, help="index of the training camera (default: 0)")
     parser.add_argument("--masks", help="mask folder (default: the layout's)")
     parser.add_argument("--person", type=int, help="which of several people, where the files tell them apart")
@@ -97,11 +101,12 @@ def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding]
         findings.append(body)
         layout, scene = open_folder(
             folder,
-            poser.pelvis,
+            poser,
             arguments.masks,
             arguments.scene,
             arguments.person,
             numbered=arguments.numbered_masks,
+            layout=arguments.layout,
         )
     except OccfusionError as error:
         return [*findings, Finding("error", "folder", str(error))], None
@@ -122,7 +127,7 @@ def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding]
 def _poser(folder: Path, path: Path | None) -> tuple[Poser, Finding]:
     own = folder / "body.npz"
     if path is None and not own.is_file():
-        return Poser(embedded_body()), Finding(
+        return Poser(embedded_body(), stands_in=True), Finding(
             "note", "body file", "none given: the embedded body stands in, so height and fit are rough",
             "name the one that the parameters were fitted with: --body SMPL_NEUTRAL.pkl",
         )  # fmt: skip

@@ -57,8 +57,8 @@ def carried(orient: Array, transl: Array, motion: Array, pelvis: Array) -> tuple
     return np.asarray(combined, dtype=np.float64).reshape(3), moved
 
 
-def turned_about(Rh: Array, Th: Array, centre: Array, pelvis: Array) -> tuple[Array, Array]:
-    """Returns (global_orient, transl) of smplx for `x = R(Rh) (m - J0 + centre) + Th`.
+def turned_about(Rh: Array, Th: Array, root: Array, centre: Array, pelvis: Array) -> tuple[Array, Array]:
+    """Returns (global_orient, transl) of smplx for `x = R(Rh) (R(root) (m - J0) + centre) + Th`.
 
     HumanNeRF's preparation writes the pelvis of its rest pose beside `Rh` and `Th`: J0 itself for
     ZJU-MoCap (the rule of EasyMocap), 0 for other footage (rotation about the pelvis).
@@ -66,7 +66,13 @@ def turned_about(Rh: Array, Th: Array, centre: Array, pelvis: Array) -> tuple[Ar
     Args:
         Rh: axis-angle, `[3]`, radians.
         Th: translation, `[3]`, metres.
+        root: the first three entries of `poses`, zero in files that the preparation wrote.
         centre: where the rest pose has its pelvis, `[3]`, metres.
         pelvis: J0 of the body at rest, `[3]`, metres.
     """
-    return Rh.copy(), Th + rotation_matrix(Rh) @ centre - pelvis
+    turn = rotation_matrix(Rh)
+    transl = Th + turn @ centre - pelvis
+    if not root.any():
+        return Rh.copy(), transl
+    combined, _ = cv2.Rodrigues(turn @ rotation_matrix(root))
+    return np.asarray(combined, dtype=np.float64).reshape(3), transl

@@ -22,49 +22,52 @@ def inspect_fit(look: Look) -> list[Finding]:
 
 
 def _fit(look: Look) -> Iterator[Finding]:
-    camera, posed = look.sound.get(look.camera), posed_bodies(look)
-    if camera is None or not posed:
+    posed = posed_bodies(look)
+    if look.camera not in look.sound or not posed:
         yield Finding(
             "note", "fit", "not checked: it needs a sound camera, parameters and a mask of one frame"
         )
         return
     masks = {frame: look.people[frame].whole.full() for frame in posed}
-    yield from _in_view(posed, masks, camera)
+    seen = {frame: look.view(frame) for frame in posed}
+    yield from _in_view(posed, masks, seen)
     bodies = {frame: vertices for frame, (vertices, _) in posed.items()}
-    scores = [overlap.mask_overlap(bodies[frame], camera, masks[frame]) for frame in posed]
+    scores = [overlap.mask_overlap(bodies[frame], seen[frame], masks[frame]) for frame in posed]
     iou, inside = np.mean(scores, axis=0)
     crowded = any(look.people[frame].crowded for frame in posed)
     unknown = crowded or look.scene.files(next(iter(posed)), look.camera).truth_unknown
     good = (inside if unknown else iou) >= DOUBTFUL_OVERLAP
-    away = np.median([checks.project(joints, camera)[1].mean() for _, joints in posed.values()])
+    away = np.median([checks.project(joints, seen[f])[1].mean() for f, (_, joints) in posed.items()])
     text = (
         f"IoU of projected body and mask {iou:.2f}, {inside:.0%} of the mask inside the body, the person "
         f"{away:.3g} m from the camera"
     )
     cure = ""
     if not good:
-        cure = explain(list(bodies.values()), list(masks.values()), camera) or (
+        cure = explain(list(bodies.values()), list(masks.values()), list(seen.values())) or (
             "check R, T, K, Rh, Th, the body file, and that masks and parameters are of the same person"
         )
     yield Finding("ok" if good else "error" if inside < MISSED else "doubt", "fit", text, cure)
-    shares = [overlap.joints_inside(joints, camera, masks[frame]) for frame, (_, joints) in posed.items()]
+    shares = [
+        overlap.joints_inside(joints, seen[frame], masks[frame]) for frame, (_, joints) in posed.items()
+    ]
     joints_share = np.mean(shares)
     fine = joints_share >= JOINTS_INSIDE or unknown
     yield Finding(
         "ok" if fine else "doubt", "joints", f"{joints_share:.0%} of the joints are inside the mask",
         "" if fine else "check cameras, poses, and that mask and parameters are of the same person",
     )  # fmt: skip
-    yield _occlusion(look, bodies, camera, unknown)
+    yield _occlusion(look, bodies, seen, unknown)
 
 
 def _in_view(
-    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], camera: Calibration
+    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], seen: dict[int, Calibration]
 ) -> Iterator[Finding]:
     outside = []
     for frame, (vertices, _) in posed.items():
         height, width = masks[frame].shape
         try:
-            checks.check_in_view(vertices, camera, (width, height), f"frame {frame}")
+            checks.check_in_view(vertices, seen[frame], (width, height), f"frame {frame}")
         except DataError as error:
             outside.append(str(error))
     if outside:
@@ -72,9 +75,9 @@ def _in_view(
         yield Finding(level, "in view", f"{len(outside)} of {len(posed)} frames: {outside[0]}")
 
 
-def _occlusion(look: Look, bodies: dict[int, Array], camera: Calibration, unknown: bool) -> Finding:
+def _occlusion(look: Look, bodies: dict[int, Array], seen: dict[int, Calibration], unknown: bool) -> Finding:
     if unknown:
-        shares = [overlap.seen_share(body, camera, look.people[f].seen.full()) for f, body in bodies.items()]
+        shares = [overlap.seen_share(body, seen[f], look.people[f].seen.full()) for f, body in bodies.items()]
         how = "estimated from the projected body"
     else:
         shares = [look.people[frame].visible_share(None) for frame in bodies]
@@ -91,6 +94,7 @@ def inspect_other_cameras(look: Look) -> list[Finding]:
     def findings() -> Iterator[Finding]:
         frame = next((f for f in look.sample() if f in look.bodies), None)
         others = [index for index in look.sound if index != look.camera]
+        others = [index for index in others if frame is not None and look.scene.shows(frame, index)]
         if frame is None or not others:
             return
         vertices = look.poser.pose(look.bodies[frame])[0]

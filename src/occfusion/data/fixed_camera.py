@@ -8,6 +8,7 @@ carried over to the person: `E_f x = E_0 (E_0^-1 E_f x)`. What the camera sees i
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,8 @@ class FixedCamera:
 
     Attributes:
         calibration: the camera of the first frame.
+        zooms: K or the distortion is not the same in all frames; `at` gives each frame's.
+        moves: the extrinsics are not the same in all frames; `carry` brings that into the body.
     """
 
     def __init__(
@@ -39,6 +42,8 @@ class FixedCamera:
         distortions: Sequence[Any] | None,
         where: Sequence[str],
         centre_shift: float,
+        *,
+        may_zoom: bool = False,
     ) -> None:
         """Checks all frames.
 
@@ -49,27 +54,38 @@ class FixedCamera:
             distortions: lens distortion of each frame; none when None.
             where: what messages call each frame.
             centre_shift: added to principal points: 0.5 where the file counts pixel centres from 0.
+            may_zoom: K and distortion may change from frame to frame: the reader gives each frame's own.
 
         Raises:
-            DataError: an entry cannot be, or K changes from frame to frame; names the frame.
+            DataError: an entry cannot be, or K changes and may not; names the frame.
         """
         lenses = [_lens(K, D, at) for K, D, at in zip(
             intrinsics, distortions or [np.zeros(5)] * len(where), where, strict=True)]  # fmt: skip
-        K, distortion = lenses[0]
-        for at, (other, bent) in zip(where, lenses, strict=True):
-            if np.abs(other - K).max() > SAME_PIXELS or not np.array_equal(bent, distortion):
-                raise DataError(
-                    f"{at}: the intrinsics differ from those of the first frame; a lens that zooms, or "
-                    "pictures cropped one by one, are not supported. Undo the crop."
-                )
+        changed = next((k for k, lens in enumerate(lenses) if _differ(lens, lenses[0])), None)
+        if changed is not None and not may_zoom:
+            raise DataError(
+                f"{where[changed]}: the intrinsics differ from those of the first frame; a lens that zooms, or "
+                "pictures cropped one by one, are not supported. Undo the crop."
+            )
+        self.zooms = changed is not None
         views = [_extrinsics(value, at) for value, at in zip(extrinsics, where, strict=True)]
         checks.check_metres(np.stack([view[:3, 3] for view in views]), where[0])
         first = views[0]
         back = _inverse(first)
         self._motions = [None if np.abs(view - first).max() <= _STILL else back @ view for view in views]
-        K = K.copy()
-        K[:2, 2] += centre_shift
-        self.calibration = Calibration(name, K, first[:3, :3], first[:3, 3], distortion)
+        self.moves = any(motion is not None for motion in self._motions)
+        shift = np.array([[0, 0, centre_shift], [0, 0, centre_shift], [0, 0, 0]])
+        self._lenses = [(K + shift, bent) for K, bent in (lenses if self.zooms else lenses[:1])]
+        self.calibration = Calibration(
+            name, self._lenses[0][0], first[:3, :3], first[:3, 3], self._lenses[0][1]
+        )
+
+    def at(self, frame: int) -> Calibration:
+        """Returns the camera with the K and the distortion of a frame."""
+        if not self.zooms:
+            return self.calibration
+        K, distortion = self._lenses[frame]
+        return replace(self.calibration, K=K, distortion=distortion)
 
     def carry(self, frame: int, body: BodyParameters, pelvis: Array) -> BodyParameters:
         """Returns the body of a frame in the world of the first frame's camera.
@@ -84,6 +100,11 @@ class FixedCamera:
             return body
         orient, transl = carried(body.global_orient, body.transl, motion, pelvis)
         return BodyParameters(body.betas, orient, body.body_pose, transl)
+
+
+def _differ(lens: tuple[Array, Array], first: tuple[Array, Array]) -> bool:
+    """Whether K or the distortion differ by more than lost digits."""
+    return bool(np.abs(lens[0] - first[0]).max() > SAME_PIXELS) or not np.array_equal(lens[1], first[1])
 
 
 def _lens(K: Any, distortion: Any, where: str) -> tuple[Array, Array]:

@@ -3,14 +3,21 @@
 | file | content |
 |---|---|
 | `images/frame_000000.png`, `masks/frame_000000.png` | pictures; masks 0 and 255, 1 or 3 channels |
-| `cameras.pkl` | `{frame: {intrinsics, extrinsics (world to camera, metres), distortions}}` |
-| `mesh_infos.pkl` | `{frame: {Rh, Th, poses, betas, joints, tpose_joints}}` |
-| `canonical_joints.pkl` | `{joints, avg_betas}`; optional, `avg_betas` stands in for missing `betas` |
+| `cameras.pkl` | `{frame: {intrinsics, extrinsics (world to camera, metres)[, distortions]}}` |
+| `mesh_infos.pkl` | `{frame: {Rh, Th, poses, joints, tpose_joints[, betas, dapose_joints]}}` |
+| `canonical_joints.pkl` | `{joints[, avg_betas]}`; `avg_betas` stands in where neither `betas` nor joints are |
+| `metadata.json` | what other footage was prepared from; not read |
+
+HumanNeRF writes no `betas`: they follow from `tpose_joints` (`rest_joints`). A body is placed by
+`x = R(Rh) (R(poses[:3]) (m - J0) + tpose_joints[0]) + Th`: for ZJU-MoCap the rest pose is the body's own, for other
+footage its pelvis is at 0 and `Th` is the pelvis. There K and the extrinsics may be given anew for each frame, as
+follows from a weak-perspective camera; the pictures say which frames there are, tables and masks may have more.
+Beside a folder `377` OccNeRF's held-out cameras lie in `377_eval` (`held_out`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,115 +26,179 @@ import numpy as np
 from occfusion.data import checks
 from occfusion.data.convention import easymocap_to_smplx, turned_about
 from occfusion.data.fixed_camera import FixedCamera
+from occfusion.data.held_out import HeldOut, refuse_held_out_alone
+from occfusion.data.layouts import HELD_OUT
 from occfusion.data.lens import OPENCV_CENTRE
-from occfusion.data.listing import natural, partners, pictures_in, require_same
-from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
+from occfusion.data.listing import like, natural, partners, pictures_in, require_same, strays
+from occfusion.data.posing import AtRest
+from occfusion.data.rest_joints import require_joints, shape_from_joints
+from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
+from occfusion.data.tables import entry, load_table, need, table
 from occfusion.errors import DataError
-from occfusion.files.unpickle import load_pickle
+
+__all__ = ["HumanNerfScene", "entry", "need", "table"]
+
+CAMERAS, MESHES, JOINTS = "cameras.pkl", "mesh_infos.pkl", "canonical_joints.pkl"
 
 _KEYS = {"poses": 72, "Rh": 3, "Th": 3}
 
 
 class HumanNerfScene(Scene):
-    """A sequence in HumanNeRF's form."""
+    """A sequence in HumanNeRF's form, with OccNeRF's held-out cameras where they lie beside it."""
 
-    def __init__(self, folder: Path, pelvis: Callable[[Array], Array], masks: str = "masks") -> None:
-        """Reads the two tables and lists the pictures.
+    def __init__(self, folder: Path, body: AtRest, masks: str = "masks") -> None:
+        """Reads the tables and lists the pictures.
 
         Args:
             folder: the sequence's folder.
-            pelvis: gives the pelvis at rest, `[3]` in metres, for shape coefficients `[B]`.
+            body: the body that the tables were made with.
             masks: mask folder.
 
         Raises:
             DataError: a file, key or frame is missing, or what they hold cannot be.
         """
-        self.name, self.root, self._pelvis = folder.name, folder, pelvis
-        self._meshes_file = folder / "mesh_infos.pkl"
-        cameras = table(load_pickle(folder / "cameras.pkl"), folder / "cameras.pkl")
-        self._meshes = table(load_pickle(self._meshes_file), self._meshes_file)
-        require_same(cameras, str(folder / "cameras.pkl"), self._meshes, str(self._meshes_file))
-        images = pictures_in(folder / "images")
-        require_same(cameras, str(folder / "cameras.pkl"), images, str(folder / "images"))
-        self._names = sorted(cameras, key=natural)
+        self.name, self.root, self._body = folder.name, folder, body
+        self._cameras_file, self._meshes_file = folder / CAMERAS, folder / MESHES
+        cameras, self._meshes = load_table(self._cameras_file), load_table(self._meshes_file)
+        refuse_held_out_alone(folder, cameras)
+        require_same(cameras, str(self._cameras_file), self._meshes, str(self._meshes_file))
+        images = pictures_in(folder / "images", prefer=".png")
+        self._names = sorted(set(images) & set(cameras), key=natural)
+        unknown = set(like(images, cameras)) - set(cameras)
+        kinds = {images[name].suffix.lower() for name in self._names}
+        unknown = {name for name in unknown if images[name].suffix.lower() in kinds}
+        require_same(self._names, str(self._cameras_file), {*self._names, *unknown}, str(folder / "images"))
+        if not self._names:
+            raise DataError(
+                f"{folder / 'images'}: none of its {len(images)} pictures, the first {next(iter(images))!r}, is named "
+                f"in {CAMERAS}, which has {len(cameras)} frames, the first {next(iter(cameras))!r}. They are of "
+                "different sequences, or one of them was renamed."
+            )
         self._pictures = [images[name] for name in self._names]
-        self._masks = partners(self._names, pictures_in(folder / masks), folder / masks)
-        self.num_frames, self.cameras = len(self._names), ("camera",)
-        rows = [entry(cameras, name, folder / "cameras.pkl") for name in self._names]
-        where = [f"{folder / 'cameras.pkl'}, {name}" for name in self._names]
-        self._camera = FixedCamera(
+        found = pictures_in(folder / masks, prefer=".png")
+        self._masks = partners(self._names, found, folder / masks, more=True)
+        self.num_frames = len(self._names)
+        self._camera = self._read_camera([entry(cameras, name, self._cameras_file) for name in self._names])
+        self._held_out = HeldOut.beside(folder, self._names, self._meshes, still=not self._camera.moves)
+        self.cameras = ("camera", *(self._held_out.cameras if self._held_out else ()))
+        self.zooms = self._camera.zooms
+        self.taken = self._taken(len(images), len(cameras), masks)
+
+    def _read_camera(self, rows: list[Mapping[str, Any]]) -> FixedCamera:
+        where = [f"{self._cameras_file}, {name}" for name in self._names]
+        return FixedCamera(
             "camera",
             [need(row, "intrinsics", at) for row, at in zip(rows, where, strict=True)],
             [need(row, "extrinsics", at) for row, at in zip(rows, where, strict=True)],
             [row.get("distortions", np.zeros(5)) for row in rows],
             where,
             OPENCV_CENTRE,
+            may_zoom=True,
         )
 
     def calibration(self, camera: int) -> Calibration:
-        """Returns the one camera there is."""
-        return self._camera.calibration
+        """Returns the camera trained on, as it was at the first frame, or one that is held out."""
+        return (
+            self._held_out.calibrations[camera - 1] if self._held_out and camera else self._camera.calibration
+        )
+
+    def view(self, frame: int, camera: int) -> Calibration:
+        """Returns a camera with the K of a frame."""
+        return self.calibration(camera) if camera else self._camera.at(frame)
+
+    def shows(self, frame: int, camera: int) -> bool:
+        """Whether there is a picture: held-out cameras have some of the frames."""
+        return camera == 0 or (self._held_out is not None and self._held_out.shows(frame, camera - 1))
 
     def parameters(self, frame: int) -> BodyParameters:
-        """Returns the body of a frame in the convention of smplx."""
+        """Returns the body of a frame in the convention of smplx.
+
+        Raises:
+            DataError: numbers are missing or cannot be, or the rest joints are of another body.
+        """
         name = self._names[frame]
         where = f"{self._meshes_file}, {name}"
         row = entry(self._meshes, name, self._meshes_file)
         values = {
             key: checks.numbers(need(row, key, where), size, f"{where}, {key}") for key, size in _KEYS.items()
         }
-        given = row["betas"] if "betas" in row else self._mean_betas(where)
-        betas = checks.shape_numbers(given, f"{where}, betas")
-        pelvis, poses = self._pelvis(betas), values["poses"]
-        if "tpose_joints" in row and not poses[:3].any():
-            rest = checks.numbers(row["tpose_joints"], (24, 3), f"{where}, tpose_joints")
-            orient, transl = turned_about(values["Rh"], values["Th"], rest[0], pelvis)
-        else:
+        rest = _rest_joints(row, where)
+        betas = self._betas(row, rest, where)
+        pelvis, poses = self._body.pelvis(betas), values["poses"]
+        if rest is None:
             orient, transl = easymocap_to_smplx(values["Rh"], values["Th"], poses[:3], pelvis)
+        else:
+            orient, transl = turned_about(values["Rh"], values["Th"], poses[:3], rest[0], pelvis)
         return self._camera.carry(frame, BodyParameters(betas, orient, poses[3:], transl), pelvis)
+
+    def _betas(self, row: Mapping[str, Any], rest: Array | None, where: str) -> Array:
+        at = f"{where}, tpose_joints"
+        if "betas" in row:
+            betas = checks.shape_numbers(row["betas"], f"{where}, betas")
+            if rest is not None:
+                require_joints(rest, betas, self._body, at)
+            return betas
+        if rest is not None:
+            return shape_from_joints(rest, self._body, at)
+        path = self.root / JOINTS
+        if not path.is_file():
+            raise DataError(
+                f"{where} has neither betas nor tpose_joints, and there is no {JOINTS} with avg_betas."
+            )
+        return checks.shape_numbers(need(load_table(path), "avg_betas", str(path)), f"{path}, avg_betas")
 
     def files(self, frame: int, camera: int) -> PictureFiles:
         """Returns the paths of one picture and its mask."""
+        if self._held_out and camera:
+            return self._held_out.files(frame, camera - 1)
         return PictureFiles(self._names[frame], self._pictures[frame], (self._masks[frame],), None, None)
 
     def evidence(self, frame: int) -> tuple[Path, ...]:
-        """Returns the two tables."""
-        return self.root / "cameras.pkl", self._meshes_file
+        """Returns the tables."""
+        return self._cameras_file, self._meshes_file, *(self._held_out.evidence if self._held_out else ())
 
-    def _mean_betas(self, where: str) -> Any:
-        path = self.root / "canonical_joints.pkl"
-        if not path.is_file():
-            raise DataError(f"{where} has no betas, and there is no {path.name} with avg_betas.")
-        return need(table(load_pickle(path), path), "avg_betas", str(path))
+    def _taken(self, pictures: int, rows: int, masks: str) -> Taken:
+        row, where = (
+            entry(self._meshes, self._names[0], self._meshes_file),
+            f"{self._meshes_file}, {self._names[0]}",
+        )
+        rest = _rest_joints(row, where)
+        form = "turned about the origin, as in ZJU-MoCap"
+        if rest is not None and not rest[0].any():
+            form = "turned about the pelvis, as in other footage"
+        counts = [f"images/, {self.num_frames} of {pictures}"]
+        counts += [f"{pictures - self.num_frames} have no row in {CAMERAS}"] * (pictures > self.num_frames)
+        counts += [f"{rows - self.num_frames} rows of {CAMERAS} have no picture"] * (rows > self.num_frames)
+        counts += [self._held_out.summary()] if self._held_out else []
+        shape = "betas of mesh_infos.pkl" if "betas" in row else f"avg_betas of {JOINTS}"
+        if "betas" not in row and rest is not None:
+            shape = f"from tpose_joints of {MESHES} by least squares: it has no betas"
+        camera = f"{CAMERAS}, {'moves: carried over to the person' if self._camera.moves else 'stands still'}"
+        camera += "; K changes: each frame has its own" if self.zooms else ""
+        return Taken(
+            layout="humannerf (HumanNeRF's and OccNeRF's preparation)",
+            pictures="; ".join(counts),
+            body=f"{MESHES}: Rh, Th, poses, {form}",
+            shape=shape,
+            masks=f"{masks}/: 255 is the person",
+            cameras=camera,
+            centres="0 (OpenCV)",
+            others=self._others(masks),
+        )
+
+    def _others(self, masks: str) -> str:
+        """Returns what lies in the folder and is not read."""
+        read = {self._cameras_file, self._meshes_file, self.root / "images", self.root / masks}
+        found = strays(self.root, read)
+        for folder, taken in (("images", self._pictures), (masks, self._masks)):
+            found += [f"{folder}/{name}" for name in strays(self.root / folder, taken)]
+        if self._held_out is None and self.root.with_name(f"{self.name}{HELD_OUT}").is_dir():
+            found.append(f"../{self.name}{HELD_OUT}")
+        more = f" and {len(found) - 8} more" if len(found) > 8 else ""
+        return f"not read: {', '.join(found[:8])}{more}" if found else ""
 
 
-def table(content: Any, path: Path) -> Mapping[str, Any]:
-    """Returns the content of a file that must hold a table of frames or values.
-
-    Raises:
-        DataError: it holds something else, nothing, or keys that are not text.
-    """
-    if not isinstance(content, Mapping) or not content:
-        raise DataError(f"{path}: holds a {type(content).__name__}, not a table of frames.")
-    if not all(isinstance(key, str) for key in content):
-        raise DataError(f"{path}: the frames must be named by text, as 'frame_000000'.")
-    return content
-
-
-def entry(rows: Mapping[str, Any], name: str, path: Path) -> Mapping[str, Any]:
-    """Returns the row of a frame, which must be a table itself."""
-    row = rows[name]
-    if not isinstance(row, Mapping):
-        raise DataError(f"{path}, {name}: holds a {type(row).__name__}, not a table.")
-    return row
-
-
-def need(row: Mapping[str, Any], key: str, where: str) -> Any:
-    """Returns the value of a key.
-
-    Raises:
-        DataError: it is missing; says what is there.
-    """
-    if key not in row:
-        raise DataError(f"{where}: key {key!r} is missing; it has {', '.join(map(str, row))[:200]}.")
-    return row[key]
+def _rest_joints(row: Mapping[str, Any], where: str) -> Array | None:
+    if "tpose_joints" not in row:
+        return None
+    return checks.numbers(row["tpose_joints"], (24, 3), f"{where}, tpose_joints")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -48,6 +49,10 @@ class Look:
     bodies: dict[int, BodyParameters] = field(default_factory=dict)
     people: dict[int, survey.Person] = field(default_factory=dict)
 
+    def view(self, frame: int) -> Calibration:
+        """Returns the camera that is to be trained on, as it was at a frame."""
+        return self.scene.view(frame, self.camera) if self.scene.zooms else self.sound[self.camera]
+
     def sample(self, count: int = LOOKED_AT) -> list[int]:
         """Returns a few frames, evenly spread."""
         last = self.scene.num_frames - 1
@@ -58,20 +63,21 @@ def inspect_files(look: Look) -> list[Finding]:
     """Returns what is missing, of all frames and cameras."""
 
     def findings() -> Iterator[Finding]:
-        scene, missing = look.scene, []
+        scene, missing, total = look.scene, [], 0
         for frame in range(scene.num_frames):
             missing += [path for path in scene.evidence(frame) if not path.is_file()]
             for camera in range(len(scene.cameras)):
-                files = scene.files(frame, camera).all()
-                missing += [path for path in files if not path.is_file()]
-        total = scene.num_frames * len(scene.cameras)
+                if not scene.shows(frame, camera):
+                    continue
+                total += 1
+                missing += [path for path in scene.files(frame, camera).all() if not path.is_file()]
         if not missing:
             yield Finding(
                 "ok", "files", f"all there: {scene.num_frames} frames of {len(scene.cameras)} cameras"
             )
             return
         unique = sorted(set(missing))
-        names = listed((path.relative_to(scene.root) for path in unique), 4)
+        names = listed((os.path.relpath(path, scene.root) for path in unique), 4)
         yield Finding(
             "error", "files", f"{len(unique)} files of {total} views are missing: {names}",
             "complete them, or choose dataset.train_frames, train_camera and test_cameras that are whole",
@@ -100,10 +106,14 @@ def _camera(look: Look, camera: int) -> Iterator[Finding]:
     scene = look.scene
     calibration = scene.calibration(camera)
     count = LOOKED_AT if camera == look.camera else HELD_OUT_LOOKED_AT
-    views = [(f, camera) for f in look.sample(count) if scene.files(f, camera).rgb.is_file()]
+    shown = [frame for frame in range(scene.num_frames) if scene.shows(frame, camera)] or [0]
+    chosen = sorted({shown[int(k)] for k in np.linspace(0, len(shown) - 1, min(count, len(shown))).round()})
+    views = [(f, camera) for f in chosen if scene.files(f, camera).rgb.is_file()]
     if views:
         size = image_size(scene.files(*views[0]).rgb)
-        checks.check_intrinsics(calibration.K, size, f"{scene.root}, K of camera {calibration.name}")
+        for frame in shown if scene.zooms else shown[:1]:
+            K = scene.view(frame, camera).K
+            checks.check_intrinsics(K, size, f"{scene.root}, K of camera {calibration.name}, frame {frame}")
         here = [view for view in views if all(path.is_file() for path in scene.files(*view).all())]
         survey.require_sizes(scene, here, {camera: size})
     look.sound[camera] = calibration

@@ -57,6 +57,12 @@ def strays(folder: Path, taken: Iterable[Path]) -> list[str]:
     return sorted((path.name for path in set(folder.iterdir()) - set(taken)), key=natural)
 
 
+def like(names: Iterable[str], others: Iterable[str]) -> list[str]:
+    """Returns the names that are built like one of the others: equal but for their numbers."""
+    kinds = {re.sub(r"\d+", "0", other) for other in others}
+    return [name for name in names if re.sub(r"\d+", "0", name) in kinds]
+
+
 def natural(name: str) -> list[tuple[int, int, str]]:
     """Returns a key that sorts numbers inside names by value: `frame_9` before `frame_10`."""
     parts = re.split(r"(\d+)", name)

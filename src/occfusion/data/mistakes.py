@@ -27,22 +27,29 @@ MISTAKES: dict[str, Callable[[Calibration], Calibration]] = {
 """Mistakes seen in data of this field, as what would undo them."""
 
 
-def explain(vertices: Sequence[Array], masks: Sequence[NDArray[np.bool_]], camera: Calibration) -> str:
+def explain(
+    vertices: Sequence[Array],
+    masks: Sequence[NDArray[np.bool_]],
+    cameras: Calibration | Sequence[Calibration],
+) -> str:
     """Returns a sentence naming the mistake whose undoing makes body and masks meet; empty when none does.
 
     Args:
         vertices: the body in the world in some frames, each `[V, 3]`, metres.
         masks: the person in the same frames, each `[H, W]`.
-        camera: the camera as it was read.
+        cameras: the camera as it was read; one a frame where its lens zoomed.
     """
+    read = [cameras] * len(masks) if isinstance(cameras, Calibration) else cameras
 
-    def fit(candidate: Calibration) -> float:
-        pairs = zip(vertices, masks, strict=True)
-        return float(np.mean([overlap.mask_overlap(body, candidate, mask)[0] for body, mask in pairs]))
+    def fit(undo: Callable[[Calibration], Calibration]) -> float:
+        views = zip(vertices, read, masks, strict=True)
+        return float(
+            np.mean([overlap.mask_overlap(body, undo(camera), mask)[0] for body, camera, mask in views])
+        )
 
-    best, reason = fit(camera) + BETTER, ""
+    best, reason = fit(lambda camera: camera) + BETTER, ""
     for name, undo in MISTAKES.items():
-        score = fit(undo(camera))
+        score = fit(undo)
         if score > best:
             best, reason = score, name
     return f"it seems that {reason}: undone, the IoU is {best:.2f}" if reason else ""

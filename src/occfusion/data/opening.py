@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from occfusion.data.humannerf_layout import HumanNerfScene
-from occfusion.data.layouts import find_layout
+from occfusion.data.layouts import AUTO, find_layout, other_layouts
 from occfusion.data.ocmotion_chomp import ChompScene, sequence_names
 from occfusion.data.ocmotion_w2a import W2aScene
-from occfusion.data.scene import Array, Scene
+from occfusion.data.posing import AtRest
+from occfusion.data.scene import Scene
 from occfusion.data.video_layout import VideoScene
 from occfusion.data.zju_layout import ZjuScene
 from occfusion.errors import ConfigError
@@ -17,41 +18,64 @@ from occfusion.errors import ConfigError
 
 def open_folder(
     folder: Path,
-    pelvis: Callable[[Array], Array],
+    body: AtRest,
     masks: str | None = None,
     sequence: str | None = None,
     person: int | None = None,
     *,
     numbered: bool = False,
+    layout: str = AUTO,
 ) -> tuple[str, Scene]:
     """Returns the layout's name and the reader of a sequence.
 
     Args:
         folder: the sequence's folder.
-        pelvis: gives the pelvis at rest, `[3]` in metres, for shape coefficients `[B]`.
+        body: the body at rest.
         masks: mask folder, the layout's own when None.
         sequence: which one, where the folder holds several (`chomp`).
         person: which one, where the files tell people apart.
         numbered: masks hold the people's ids (`chomp`; elsewhere `person` says it).
+        layout: the layout to read it in; `auto` to look.
 
     Raises:
         DataError: no known layout, or its files are missing, damaged or inconsistent.
-        ConfigError: a sequence has to be named.
+        ConfigError: a sequence has to be named, or no layout of that name.
     """
-    layout = find_layout(folder)
+    found = find_layout(folder, asked=layout)
+    return found, noted(_reader(found, folder, body, masks, sequence, person, numbered), folder, found)
+
+
+def noted(scene: Scene, folder: Path, layout: str) -> Scene:
+    """Returns the reader, having noted in what it took that the folder has other layouts too."""
+    others = other_layouts(folder, layout)
+    if others and hasattr(scene, "taken"):
+        text = "; ".join(part for part in (others, scene.taken.others) if part)
+        scene.taken = replace(scene.taken, others=text)
+    return scene
+
+
+def _reader(
+    layout: str,
+    folder: Path,
+    body: AtRest,
+    masks: str | None,
+    sequence: str | None,
+    person: int | None,
+    numbered: bool,
+) -> Scene:
     match layout:
         case "humannerf":
-            return layout, HumanNerfScene(folder, pelvis, masks or "masks")
+            return HumanNerfScene(folder, body, masks or "masks")
         case "w2a":
-            return layout, W2aScene(folder, pelvis, masks or "masks", person)
+            return W2aScene(folder, body.pelvis, masks or "masks", person)
         case "video":
-            return layout, VideoScene(folder, pelvis, masks or "masks", person)
+            return VideoScene(folder, body.pelvis, masks or "masks", person)
         case "chomp":
             if sequence is None:
                 raise ConfigError(
                     f"{folder}: holds several sequences; name one (--scene here, dataset.scene in training) of "
                     f"{', '.join(sequence_names(folder))[:400]}."
                 )
-            return layout, ChompScene(folder, sequence, pelvis, masks or "mask", person, numbered=numbered)
+            return ChompScene(folder, sequence, body.pelvis, masks or "mask", person, numbered=numbered)
         case _:
-            return layout, ZjuScene(folder, pelvis, masks or "mask", refined=layout == "refined")
+            return ZjuScene(folder, body.pelvis, masks or "mask", refined=layout == "refined")

@@ -34,7 +34,7 @@ def draw_overlay(look: Look) -> NDArray[np.uint8] | None:
 
 
 def _column(look: Look, frame: int, vertices: Array, joints: Array) -> NDArray[np.uint8] | None:
-    camera = look.sound[look.camera]
+    camera = look.view(frame)
     try:
         picture = read_rgb(look.scene.files(frame, look.camera).rgb)
     except DataError:  # reported where the files are checked

@@ -88,6 +88,8 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
     cameras = protocol.held_out_cameras(selection.test_cameras, camera, len(scene.cameras))
     wanted = protocol.train_range(selection.train_frames, scene.num_frames)
     held_out = protocol.held_out_range(selection.test_frames, scene.num_frames)
+    if selection.test_frames is None:
+        held_out = _shown(scene, cameras, held_out, wanted)
     survey.require_files(scene, ((frame, camera) for frame in wanted))
     found = survey.scan_people(scene, wanted, camera)
     shown = [(frame, person) for frame, person in zip(wanted, found, strict=True) if not person.whole.empty]
@@ -111,6 +113,19 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
             "learn from. Make dataset.occlusion narrower."
         )
     return result
+
+
+def _shown(
+    scene: Scene, cameras: tuple[int, ...], held_out: tuple[int, ...], train: tuple[int, ...]
+) -> tuple[int, ...]:
+    """Returns the protocol's held-out frames, or where not all are shown those that are, along the training frames."""
+
+    def all_there(frame: int) -> bool:
+        return all(scene.shows(frame, camera) for camera in cameras)
+
+    if all(map(all_there, held_out)):
+        return held_out
+    return tuple(frame for frame in range(train[0], train[-1] + 1) if all_there(frame)) or held_out
 
 
 def _nobody(files: PictureFiles, frames: int) -> str:

@@ -70,6 +70,7 @@ class PictureFiles:
         complete_mask: the whole person, hidden parts included, where the data set has it.
         occluded: whether real things may stand before the person.
         label: the value of the wanted person in masks that number several; None: every value but 0.
+        any_value: whether even the faintest value of a soft mask is the person, as its data set's own code has it.
     """
 
     name: str
@@ -79,6 +80,7 @@ class PictureFiles:
     complete_mask: Path | None
     occluded: bool = False
     label: int | None = None
+    any_value: bool = False
 
     @property
     def truth_unknown(self) -> bool:
@@ -135,8 +137,9 @@ class Taken:
 class Scene(ABC):
     """An interface: one sequence of one person, seen by one or more cameras.
 
-    `taken` says what was read; `remarks` are sentences about the folder that the user should know of, one each; `surface` gives the person's
-    true surface at a frame of the sequence, for evaluation, and is None where nobody knows it.
+    `taken` says what was read; `remarks` are sentences about the folder that the user should know of, one each;
+    `surface` gives the person's true surface at a frame of the sequence, for evaluation, and is None where nobody
+    knows it; `zooms` says that a camera's K is not the same in all frames, so that `view` must be asked.
     """
 
     name: str
@@ -146,10 +149,19 @@ class Scene(ABC):
     taken: Taken
     remarks: tuple[str, ...] = ()
     surface: Callable[[int], Surface] | None = None
+    zooms: bool = False
 
     @abstractmethod
     def calibration(self, camera: int) -> Calibration:
         """Returns a camera, checked on its own."""
+
+    def view(self, frame: int, camera: int) -> Calibration:
+        """Returns a camera as it was at a frame: that of `calibration`, unless its lens zoomed."""
+        return self.calibration(camera)
+
+    def shows(self, frame: int, camera: int) -> bool:
+        """Whether the folder is meant to have a picture of a camera at a frame."""
+        return True
 
     @abstractmethod
     def parameters(self, frame: int) -> BodyParameters:

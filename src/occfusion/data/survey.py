@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -110,7 +111,9 @@ def data_hash(scene: Scene, views: Iterable[tuple[int, int]], settings: str) -> 
                     while part := stream.read(HASHED_AT_ONCE):
                         digest.update(part)
         for path in scene.files(frame, camera).all():
-            digest.update(f"{path.relative_to(scene.root)} {path.stat().st_size}\n".encode())
+            digest.update(
+                f"{Path(os.path.relpath(path, scene.root)).as_posix()} {path.stat().st_size}\n".encode()
+            )
     return digest.hexdigest()[:16]
 
 

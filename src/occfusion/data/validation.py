@@ -51,9 +51,11 @@ def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
     cameras = sorted({camera for _, camera in selected})
     sizes = {camera: views.lens(camera).source for camera in cameras}
     survey.require_sizes(scene, selected, sizes)
-    for camera in cameras:
-        calibration = scene.calibration(camera)
-        checks.check_intrinsics(calibration.K, sizes[camera], f"{scene.root}, K of camera {calibration.name}")
+    for frame, camera in selected if scene.zooms else [(prepared.train[0], camera) for camera in cameras]:
+        calibration = scene.view(frame, camera)
+        where = f"{scene.root}, K of camera {calibration.name}"
+        where += f" in {scene.files(frame, camera).name}" if scene.zooms else ""
+        checks.check_intrinsics(calibration.K, sizes[camera], where)
     for frame in sorted({*prepared.train, *prepared.test}):
         views.parameters(frame)
     _check_height(poser.rest_vertices(views.parameters(prepared.train[0]).betas), str(scene.root))
@@ -65,9 +67,11 @@ def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
 
 def estimated_shares(prepared: Prepared, views: Views, poser: Poser) -> list[float]:
     """Returns which share of the projected body the mask of each training frame covers."""
-    camera = prepared.scene.calibration(prepared.camera)
+    scene, camera = prepared.scene, prepared.camera
     return [
-        overlap.seen_share(poser.pose(views.parameters(frame))[0], camera, person.seen.full())
+        overlap.seen_share(
+            poser.pose(views.parameters(frame))[0], scene.view(frame, camera), person.seen.full()
+        )
         for frame, person in zip(prepared.train, prepared.people, strict=True)
     ]
 
@@ -113,21 +117,22 @@ def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[st
     people = {prepared.train[k]: prepared.people[k].whole for k in positions}
     posed = {frame: poser.pose(views.parameters(frame)) for frame in people}
     masks = {frame: person.full() for frame, person in people.items()}
+    seen = {frame: prepared.scene.view(frame, prepared.camera) for frame in people}
     try:
         for frame, person in people.items():
             checks.check_in_view(
-                posed[frame][0], camera, (person.width, person.height), f"{where}, frame {frame}"
+                posed[frame][0], seen[frame], (person.width, person.height), f"{where}, frame {frame}"
             )
     except DataError as error:
-        raise DataError(f"{error}{_explanation(posed, masks, camera)}") from None
-    fits = {frame: overlap.mask_overlap(posed[frame][0], camera, masks[frame]) for frame in people}
+        raise DataError(f"{error}{_explanation(posed, masks, seen)}") from None
+    fits = {frame: overlap.mask_overlap(posed[frame][0], seen[frame], masks[frame]) for frame in people}
     inside = float(np.mean([share for _, share in fits.values()]))
     if inside < MISSED:
         raise DataError(
             f"{where}: the projected body misses the person's mask in camera {camera.name}: "
             f"{inside:.0%} of the mask is inside it, mean of {len(people)} frames. Check R "
             "(transposed?), T (millimetres), Rh and Th, and that the body file is the one the "
-            f"parameters were fitted with.{_explanation(posed, masks, camera)}"
+            f"parameters were fitted with.{_explanation(posed, masks, seen)}"
         )
     if any(prepared.unknown):  # what is hidden lowers the IoU of a perfect fit; the rest must be inside
         if inside >= DOUBTFUL_OVERLAP:
@@ -136,16 +141,16 @@ def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[st
             f"{where}: only {inside:.0%} of the visible mask is inside the projected body in camera "
             f"{camera.name}, mean of {len(people)} frames; embedded people have 80 % and more. Check the cameras, the "
             f"parameters, the body file, and that the masks are of the same person."
-            f"{_explanation(posed, masks, camera)}"
+            f"{_explanation(posed, masks, seen)}"
         ]
     worst = min(fits, key=lambda frame: fits[frame][0])
     if fits[worst][0] < DOUBTFUL_OVERLAP:
         return [
             f"{where}, frame {worst}: projected body and mask overlap by only {fits[worst][0]:.2f} (IoU) in "
             f"camera {camera.name}; a good fit has 0.8. Check the cameras, Rh, Th, the body file, the masks."
-            f"{_explanation(posed, masks, camera)}"
+            f"{_explanation(posed, masks, seen)}"
         ]
-    joints = float(np.mean([overlap.joints_inside(posed[f][1], camera, masks[f]) for f in people]))
+    joints = float(np.mean([overlap.joints_inside(posed[f][1], seen[f], masks[f]) for f in people]))
     if joints < JOINTS_INSIDE:
         return [
             f"{where}: only {joints:.0%} of the joints lie inside the mask in camera {camera.name}, mean of "
@@ -155,9 +160,9 @@ def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[st
 
 
 def _explanation(
-    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], camera: Calibration
+    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], seen: dict[int, Calibration]
 ) -> str:
-    reason = explain([vertices for vertices, _ in posed.values()], list(masks.values()), camera)
+    reason = explain([vertices for vertices, _ in posed.values()], list(masks.values()), list(seen.values()))
     return f" {reason[0].upper()}{reason[1:]}." if reason else ""
 
 

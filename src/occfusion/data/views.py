@@ -52,9 +52,8 @@ class Views:
         """
         ready = self._prepared
         frame, hidden = ready.train[position], ready.hidden[position]
-        packed = self._cache.get(
-            position, lambda: pack(ready.scene.files(frame, ready.camera), self.lens(ready.camera), hidden)
-        )
+        files, lens = ready.scene.files(frame, ready.camera), self.lens_at(frame, ready.camera)
+        packed = self._cache.get(position, lambda: pack(files, lens, hidden))
         made = self._frame(packed, frame, ready.camera, truth)
         if self.complete_masks is None or not complete:
             return made
@@ -77,7 +76,7 @@ class Views:
 
     def test_frame(self, frame: int, camera: int) -> Frame:
         """Returns a held-out view: unoccluded, its truth being what it shows."""
-        packed = pack(self._prepared.scene.files(frame, camera), self.lens(camera), clean=True)
+        packed = pack(self._prepared.scene.files(frame, camera), self.lens_at(frame, camera), clean=True)
         return self._frame(packed, frame, camera, True)
 
     def lens(self, camera: int) -> Lens:
@@ -88,6 +87,11 @@ class Views:
             while len(self._lenses) > _KEPT_LENSES:
                 del self._lenses[next(iter(self._lenses))]
         return lens
+
+    def lens_at(self, frame: int, camera: int) -> Lens:
+        """Returns how a camera's stored picture of a frame becomes one of ours: the lens may have zoomed."""
+        lens, scene = self.lens(camera), self._prepared.scene
+        return replace(lens, calibration=scene.view(frame, camera)) if scene.zooms else lens
 
     def _make_lens(self, camera: int) -> Lens:
         scene = self._prepared.scene
@@ -119,7 +123,7 @@ class Views:
             occluded=packed.occluded() if truth else None,
             complete_mask=None,
             truth=None if known is None else Truth(*known, self._true_depth(frame, camera)),
-            camera=self.lens(camera).camera(),
+            camera=self.lens_at(frame, camera).camera(),
             pose=self.pose(frame),
         )
 
@@ -127,7 +131,7 @@ class Views:
         """Returns the depth of the true surface, `[H, W]`, infinite where there is none; None if not known."""
         if self._prepared.scene.surface is None:
             return None
-        surface, view = self._prepared.scene.surface(frame), self.lens(camera).camera()
+        surface, view = self._prepared.scene.surface(frame), self.lens_at(frame, camera).camera()
         viewmat, K = view.viewmat.double().numpy(), view.K.double().numpy()
         points = surface.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
         depths = points[:, 2]
