@@ -10,6 +10,7 @@ from occfusion.data.humannerf_layout import HumanNerfScene
 from occfusion.data.layouts import ZJU, find_layout
 from occfusion.data.module import HumanDataModule
 from occfusion.data.occlusion import OcclusionSettings
+from occfusion.data.opening import noted
 from occfusion.data.posing import RestBody
 from occfusion.data.prepare import Selection
 from occfusion.data.presets import find_preset, place_strip, select
@@ -65,7 +66,7 @@ class ZjuDataModule(HumanDataModule):
         if layout not in ("auto", *ZJU):
             raise ConfigError(f"dataset.layout={layout!r}: choose auto, {', '.join(ZJU)}.")
         preset, folder = find_preset(protocol), Path(root) / str(scene)
-        self._layout = find_layout(folder, ZJU) if layout == "auto" and folder.is_dir() else layout
+        self._layout = find_layout(folder, ZJU, layout) if folder.is_dir() else layout
         alone = self._layout == "humannerf"
         if train_camera is None:
             train_camera = 0 if alone else preset.train_camera
@@ -77,7 +78,8 @@ class ZjuDataModule(HumanDataModule):
 
     def open_scene(self) -> Scene:
         """Returns the reader of the sequence."""
-        layout = find_layout(self._folder, ZJU) if self._layout == "auto" else self._layout
+        layout = find_layout(self._folder, ZJU, self._layout)
         if layout == "humannerf":
-            return HumanNerfScene(self._folder, self.poser.pelvis, self._masks)
-        return ZjuScene(self._folder, self.poser.pelvis, self._masks, refined=layout == "refined")
+            return noted(HumanNerfScene(self._folder, self.poser, self._masks), self._folder, layout)
+        reader = ZjuScene(self._folder, self.poser.pelvis, self._masks, refined=layout == "refined")
+        return noted(reader, self._folder, layout)
