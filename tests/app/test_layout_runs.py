@@ -106,10 +106,12 @@ def test_every_layout_takes_the_same_first_steps(source: Source, tmp_path: Path)
         "refined": ("dataset=zju", f"dataset.root={tmp_path}", "dataset.scene=my_377"),
         "313": ("dataset=zju", f"dataset.root={tmp_path}", "dataset.scene=CoreView_313"),
         "humannerf": ("dataset=zju", f"dataset.root={tmp_path}", "dataset.scene=plain"),
-        "w2a": ("dataset=ocmotion", f"dataset.root={tmp_path}", "dataset.scene=0013_02"),
+        "w2a": (
+            "dataset=ocmotion", f"dataset.root={tmp_path}", "dataset.scene=0013_02", "dataset.image_size=512",
+        ),
         "chomp": (
             "dataset=ocmotion", f"dataset.root={tmp_path / 'raw'}", "dataset.scene=0013_02",
-            "dataset.numbered_masks=true", "dataset.person=1",
+            "dataset.numbered_masks=true", "dataset.person=1", "dataset.image_size=512",
         ),
         "video": ("dataset=video", f"dataset.root={tmp_path}", "dataset.scene=mine"),
     }  # fmt: skip

@@ -96,7 +96,7 @@ def write_original(source: Source, target: Path) -> Path:
 
 
 def write_stamped(source: Source, root: Path, subject: int = 313) -> Path:
-    """313 and 315: `Camera (1)`, time stamps in names, numbers from 1, `params` alone."""
+    """313 and 315: `Camera (1)`, time stamps in names, numbers from 1, an older fit beside the newer one."""
     target, rows = root / f"CoreView_{subject}", []
     for frame in range(source.frames):
         row = []
@@ -110,9 +110,9 @@ def write_stamped(source: Source, root: Path, subject: int = 313) -> Path:
             )
             save_picture((target / "mask" / row[-1]).with_suffix(".png"), source.mask(frame, camera))
         rows.append({"ims": row})
-        save_object(target / "params" / f"{frame + 1}.npy", source.parameters(frame))
-    # a fit of others beside it, which is not to be used for these subjects
-    save_object(target / "new_params" / "1.npy", dict(source.parameters(0), Th=np.full((1, 3), 9.0)))
+        save_object(target / "new_params" / f"{frame + 1}.npy", source.parameters(frame))
+    # the older fit beside it, which is not to be used
+    save_object(target / "params" / "1.npy", dict(source.parameters(0), Th=np.full((1, 3), 9.0)))
     save_object(target / "annots.npy", {"cams": source.cams, "ims": rows})
     return target
 
@@ -205,7 +205,7 @@ def write_chomp(source: Source, root: Path, name: str = "0013_02", person: int =
                 "pose": np.concatenate([orient, pose]), "betas": betas, "trans": transl,
                 "intri": source.cams["K"][camera], "extri": source.extrinsics(camera),
             }  # fmt: skip
-            content = {"h_w": (96, 96), "img_path": path, str(person): row}
+            content = {"h_w": source.mask(frame, camera).shape, "img_path": path, str(person): row}
             if frame == 0:
                 content["7"] = dict(row, trans=transl + 1)
             frames.append(content)

@@ -46,9 +46,12 @@ def opened(kind: str, path: Path, source: Source, **settings) -> HumanDataModule
     settings = {**ALL_FRAMES, **settings}
     match kind:
         case "w2a":
+            settings = {"image_size": SIZE, **settings}
             return OcMotionDataModule(path.parent, "0013_02", source.body, **settings)
         case "chomp":
-            settings = {"person": 1, "numbered_masks": True, "test_cameras": None, **settings}
+            settings = {
+                "person": 1, "numbered_masks": True, "test_cameras": None, "image_size": SIZE, **settings
+            }  # fmt: skip
             return OcMotionDataModule(path, "0013_02", source.body, **settings)
         case "video":
             return VideoDataModule(path.parent, path.name, source.body, **settings)

@@ -9,24 +9,24 @@ used, are occluded too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from occfusion.data.layouts import OCMOTION, find_layout
 from occfusion.data.module import HumanDataModule
 from occfusion.data.occlusion import OcclusionSettings
-from occfusion.data.ocmotion_chomp import ChompScene
+from occfusion.data.ocmotion_chomp import MASKS, ChompScene
+from occfusion.data.ocmotion_protocol import PROTOCOLS, find_ocmotion_protocol
 from occfusion.data.ocmotion_w2a import W2aScene
 from occfusion.data.posing import RestBody
 from occfusion.data.prepare import Selection
 from occfusion.data.scene import Scene
 from occfusion.errors import ConfigError, DataError
+from occfusion.files.images import image_size as stored_size
 
-PAPER_SEQUENCES = ("0011_02_1", "0011_02_2", "0013_02", "0038_04", "0039_02", "0041_00")
+PAPER_SEQUENCES = PROTOCOLS["paper"].sequences
 """The six sequences of the paper, in Wild2Avatar's cut: 100 frames each."""
-
-PAPER_FRAMES = (0, 100, 2)
-"""The paper trains on every second frame: 50."""
 
 
 class OcMotionDataModule(HumanDataModule):
@@ -37,7 +37,7 @@ class OcMotionDataModule(HumanDataModule):
         root: Path | str | None,
         scene: str | None,
         body: RestBody,
-        image_size: int = 512,
+        image_size: int | None = None,
         train_camera: int = 0,
         test_cameras: Sequence[int] | None = (),
         train_frames: Sequence[int | None] | None = None,
@@ -47,6 +47,7 @@ class OcMotionDataModule(HumanDataModule):
         person: int | None = None,
         numbered_masks: bool = False,
         layout: str = "auto",
+        protocol: str = "paper",
         seed: int = 0,
         cache_megabytes: float = 200.0,
     ) -> None:
@@ -54,26 +55,32 @@ class OcMotionDataModule(HumanDataModule):
 
         Args:
             root: the folder that holds the sequences, or that holds `annot/`.
-            scene: the sequence, `0013_02`; its folder may end in `_w2a`.
+            scene: the sequence, `0013_02`; its folder may end in `_w2a`. In the raw release that is camera 02 of
+                sequence 0013, and `0013` is the sequence with all its cameras.
             body: the body the parameters belong to.
-            image_size: longer side in pixels after scaling; pictures are never enlarged.
+            image_size: longer side in pixels after scaling; pictures are never enlarged. The protocol's, half of
+                the stored one in the paper, when None.
             train_camera: index of the one camera that is trained on.
             test_cameras: indices of held-out cameras; all the others when None.
-            train_frames: `[start, stop, step]`; the paper's `[0, 100, 2]`, cut to the sequence, when None.
+            train_frames: `[start, stop, step]`; the protocol's, the paper's being `[0, 100, 2]`, cut to the
+                sequence, when None.
             test_frames: the same for held-out views.
             occlusion: hides more, on top of what is really hidden.
             masks: mask folder; `masks` in the cut, `mask` in the raw release when None.
             person: id of the person among several; the one in the most frames when None.
             numbered_masks: masks hold the people's ids, and only the person's own is the person.
             layout: `w2a`, `chomp`, or `auto` to look.
+            protocol: `paper`, `wild2avatar` or `occnerf`: frames and size.
             seed: of the order of training frames.
             cache_megabytes: how much memory decoded training frames may take.
 
         Raises:
             ConfigError: a setting is out of its range.
         """
-        frames = PAPER_FRAMES if train_frames is None else train_frames
-        held_out = PAPER_FRAMES if test_frames is None else test_frames
+        self._protocol, self._protocol_name = find_ocmotion_protocol(protocol), protocol
+        self._frames_given = train_frames is not None
+        frames = self._protocol.frames if train_frames is None else train_frames
+        held_out = self._protocol.frames if test_frames is None else test_frames
         selection = Selection(train_camera, test_cameras, frames, held_out)
         super().__init__(body, selection, image_size, occlusion, seed, cache_megabytes)
         if not root or not scene:
@@ -87,14 +94,36 @@ class OcMotionDataModule(HumanDataModule):
 
     def open_scene(self) -> Scene:
         """Returns the reader of the sequence."""
+        scene = self._open_layout()
+        scene.taken = replace(scene.taken, pictures=f"{scene.taken.pictures}{self._protocol_in_words()}")
+        return scene
+
+    def own_image_size(self, scene: Scene) -> int:
+        """Returns the longer side of the frames by the protocol: a share of the stored one."""
+        return max(stored_size(scene.files(0, 0).rgb)) // self._protocol.divisor
+
+    def summary(self) -> dict[str, Any]:
+        """Returns what was selected and found, and what the protocol's authors do otherwise than they say."""
+        protocol = {"name": self._protocol_name, "differs": self._protocol.differs}
+        return {**super().summary(), "protocol": protocol}
+
+    def _protocol_in_words(self) -> str:
+        frames = [] if self._frames_given else [f"frames {list(self._protocol.frames)}"]
+        size = [] if self.image_size is not None else [self._protocol.size_in_words]
+        words = " and ".join(frames + size)
+        return f"; {words} (dataset.protocol={self._protocol_name})" if words else ""
+
+    def _open_layout(self) -> Scene:
         layout, folder = self._layout, self._root / self._scene
         if layout == "auto" and not folder.is_dir() and (self._root / "annot").is_dir():
             layout = "chomp"
         if layout == "chomp":
-            masks = self._masks or "mask"
-            return ChompScene(
+            masks = self._masks or MASKS
+            raw = ChompScene(
                 self._root, self._scene, self.poser.pelvis, masks, self._person, numbered=self._numbered
             )
+            raw.require_masks()
+            return raw
         cut = folder.with_name(f"{folder.name}_w2a")
         folder = cut if not folder.is_dir() and cut.is_dir() else folder
         if not folder.is_dir():

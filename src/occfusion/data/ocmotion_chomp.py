@@ -2,42 +2,63 @@
 
 | file | content |
 |---|---|
-| `annot/train.pkl`, `annot/test.pkl` | list of sequences, of cameras, of frames: `{h_w, img_path, "<id>": person}` |
+| `annot/train.pkl`, `annot/test.pkl` | lists of sequences, of cameras, of frames: `{h_w, img_path, "0": person}` |
 | person | `bbox` 2 x 2, `lsp_joints_2d` 14 x 3, `pose` 72, `betas` 10, `trans` 3, `intri` 3 x 3, `extri` 4 x 4 |
-| `<img_path>` | pictures, below the folder or below `images/` |
-| `mask/<img_path>.png` | made by the user; values may number the people by id |
+| `<img_path>` | pictures, as `images/0013/Camera02/000000.jpg`, below the folder or below `images/` |
+| `mask/<img_path>.png` | made by the user; values may number the people |
+
+`0013` is a sequence with all its cameras, `0013_02` its camera 02 alone, as Wild2Avatar calls it. Keys of people are
+numbers, written as numbers or as text; frames without people are normal. Lists of frames without cameras around them
+are cameras too, and those of one sequence belong together. `x = SMPL(pose, betas) + trans`.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
-from typing import Any
+
+import numpy as np
 
 from occfusion.data import checks
-from occfusion.data.annots import inside
 from occfusion.data.fixed_camera import FixedCamera
 from occfusion.data.humannerf_layout import need
 from occfusion.data.lens import OPENCV_CENTRE
-from occfusion.data.listing import MAX_DIGITS
-from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
+from occfusion.data.ocmotion_annot import Found, annotation_files, find_sequence, sequence_names
+from occfusion.data.ocmotion_joints import Posing, evenly, limb_distances, limb_doubt
+from occfusion.data.ocmotion_moments import (
+    Moments,
+    Person,
+    Shot,
+    camera_moves,
+    count_people,
+    pair,
+    person_number,
+    read_shots,
+)
+from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.errors import ConfigError, DataError
-from occfusion.files.thinned import Thin, load_thinned
-from occfusion.files.unpickle import load_pickle
+from occfusion.files.images import image_size
 
-PATH = "img_path"
+__all__ = ["ChompScene", "sequence_names"]
+
+MASKS = "mask"
+
+SAME_PLACE = 0.3
+"""Metres from frame to frame, and from camera to camera, within which two people may be one."""
+
+_READ = ("pose", "betas", "trans", "intri", "extri", "lsp_joints_2d", "bbox")
 
 
 class ChompScene(Scene):
-    """One sequence of the raw release: the frames that all cameras have and that show the wanted person."""
+    """One sequence of the raw release: the moments at which each of its cameras shows the wanted person."""
 
     def __init__(
         self,
         folder: Path,
         sequence: str,
         pelvis: Callable[[Array], Array],
-        masks: str = "mask",
+        masks: str = MASKS,
         person: int | None = None,
         *,
         numbered: bool = False,
@@ -46,37 +67,44 @@ class ChompScene(Scene):
 
         Args:
             folder: the folder that holds `annot/`.
-            sequence: its name: the folder above the cameras' in the pictures' paths, else as `train/3`.
+            sequence: its name: the folder above the cameras' in the pictures' paths, else as `train/3`; with `_02`
+                behind it, its camera 02 alone.
             pelvis: gives the pelvis at rest, `[3]` in metres, for shape coefficients `[B]`.
             masks: mask folder.
-            person: id of the person; the one in the most frames when None.
-            numbered: masks hold the people's ids; else everything but 0 is the person.
+            person: number of the person; the one in the most pictures when None.
+            numbered: masks hold the people's numbers; else everything but 0 is the person.
 
         Raises:
-            DataError: no such sequence or person, a key is missing, or what is there cannot be.
+            ConfigError: no such sequence, camera or person.
+            DataError: a key is missing, or what is there cannot be.
         """
-        self.name, self.root, self._pelvis, self._mask_folder = sequence, folder, pelvis, masks
-        self._file, cameras = _find(folder, sequence)
-        self._person = _choose(cameras, person, self._file)
-        key = str(self._person)
-        count = min(len(camera) for camera in cameras)
-        kept = [i for i in range(count) if all(isinstance(c[i].get(key), Mapping) for c in cameras)]
-        if not kept:
-            raise DataError(f"{self._file}, {sequence}: person {key} is in no frame of all cameras.")
-        self._frames = [[camera[i] for i in kept] for camera in cameras]
-        self._where = [f"{self._file}, {sequence}, frame {i}, person {key}" for i in kept]
+        self.name, self.root, self._pelvis = sequence, folder, pelvis
+        found = find_sequence(folder, sequence)
+        self._file = found.file
+        shots = [
+            read_shots(rows, f"{self._file}, {sequence}, camera {c}") for c, rows in enumerate(found.cameras)
+        ]
+        self._person = _choose(shots, person, self._file)
+        moments = pair(shots)
+        self._shots = [
+            moment for moment in moments.shots if all(self._person in shot.people for shot in moment)
+        ]
+        if not self._shots:
+            raise DataError(f"{self._file}, {sequence}: person {self._person} is in no frame of all cameras.")
+        self._where = [
+            f"{self._file}, {sequence}, frame {moment[0].place}, person {self._person}"
+            for moment in self._shots
+        ]
         self._label = self._person if numbered else None
-        self._base = folder / "images" if not (folder / self._path(0, 0)).exists() else folder
-        self.num_frames = len(kept)
-        self.cameras = tuple(self._path(0, c).parent.as_posix() for c in range(len(cameras)))
-        others = _people(cameras).keys() - {self._person}
-        if others and not numbered:
-            self.remarks = (
-                f"{self._file}, {sequence}: the people {', '.join(map(str, sorted(others)))} are annotated beside "
-                f"person {key}; masks must show {key} alone. If their values are the people's ids, set "
-                f"dataset.numbered_masks=true dataset.person={key} (in check: --numbered-masks --person {key}).",
-            )
-        self._rigs = [self._rig(camera) for camera in range(len(cameras))]
+        self.num_frames = len(self._shots)
+        self.cameras = tuple(shot.path.parent.as_posix() for shot in self._shots[0])
+        first = self._shots[0][0].path
+        self._base = folder if (folder / first).exists() else folder / "images"
+        self._mask_folder, self._mask_parts = _mask_place(folder, masks, first)
+        self._check_sizes()
+        self._rigs = [self._rig(camera) for camera in range(len(self.cameras))]
+        self.remarks = tuple(self._remarks(shots, moments, numbered))
+        self.taken = self._say(found, shots, moments)
 
     def calibration(self, camera: int) -> Calibration:
         """Returns a camera."""
@@ -84,7 +112,7 @@ class ChompScene(Scene):
 
     def parameters(self, frame: int) -> BodyParameters:
         """Returns the body of a frame, in the world of the first camera's annotation."""
-        row, where = self._frames[0][frame][str(self._person)], self._where[frame]
+        row, where = self._row(frame, 0), self._where[frame]
         poses = checks.numbers(need(row, "pose", where), 72, f"{where}, pose")
         betas = checks.shape_numbers(need(row, "betas", where), f"{where}, betas")
         transl = checks.numbers(need(row, "trans", where), 3, f"{where}, trans")
@@ -93,8 +121,8 @@ class ChompScene(Scene):
 
     def files(self, frame: int, camera: int) -> PictureFiles:
         """Returns the paths of one picture and its mask."""
-        path = self._path(frame, camera)
-        mask = self.root / self._mask_folder / path.with_suffix(".png")
+        path = self._shots[frame][camera].path
+        mask = self._mask_folder.joinpath(*path.parts[self._mask_parts :]).with_suffix(".png")
         name = path.with_suffix("").as_posix()
         return PictureFiles(name, self._base / path, (mask,), None, None, True, self._label)
 
@@ -102,13 +130,27 @@ class ChompScene(Scene):
         """Returns the annotations."""
         return (self._file,)
 
-    def _path(self, frame: int, camera: int) -> PurePosixPath:
-        where = self._where[frame]
-        return PurePosixPath(inside(need(self._frames[camera][frame], "img_path", where), where))
+    def body_doubts(self, pose: Posing) -> list[str]:
+        """Returns a sentence where the body's limbs are far from the annotated key points of the first camera."""
+        found = []
+        for frame in evenly(range(self.num_frames)):
+            row, where = self._row(frame, 0), f"{self._where[frame]}, lsp_joints_2d"
+            if "lsp_joints_2d" in row:
+                joints = pose(self.parameters(frame))[1]
+                found.append(limb_distances(row["lsp_joints_2d"], joints, self.calibration(0), where))
+        return limb_doubt(found, f"{self._file}, {self.name}, person {self._person}")
+
+    def require_masks(self) -> None:
+        """Raises DataError where there is not one mask: the data set comes without."""
+        if not self._mask_folder.is_dir():
+            raise DataError(f"{self._mask_folder}: no such folder. {self._masks_needed()}")
+
+    def _row(self, frame: int, camera: int) -> Person:
+        return self._shots[frame][camera].people[self._person]
 
     def _rig(self, camera: int) -> FixedCamera:
         where = [f"{at}, camera {camera}" for at in self._where]
-        people = [frame[str(self._person)] for frame in self._frames[camera]]
+        people = [self._row(frame, camera) for frame in range(self.num_frames)]
         return FixedCamera(
             self.cameras[camera],
             [need(row, "intri", at) for row, at in zip(people, where, strict=True)],
@@ -118,91 +160,158 @@ class ChompScene(Scene):
             OPENCV_CENTRE,
         )
 
+    def _check_sizes(self) -> None:
+        """Raises DataError where a camera's first picture is not of the declared size."""
+        for camera, shot in enumerate(self._shots[0]):
+            path, at = self._base / shot.path, f"{self._where[0]}, camera {camera}"
+            if shot.size is None or not path.is_file():
+                continue
+            height, width = checks.numbers(shot.size, 2, f"{at}, h_w").tolist()
+            if (real := image_size(path)) != (width, height):
+                raise DataError(
+                    f"{path}: has {real[0]} x {real[1]} pixels, but {at} was annotated in {width:.0f} x {height:.0f} "
+                    "(h_w is height, width). Use the pictures as they were released; dataset.image_size scales them."
+                )
 
-def sequence_name(path: object) -> str:
-    """Returns the name of a picture's sequence: the folder above its camera's; empty where the path has none."""
-    parts = PurePosixPath(str(path)).parts
-    return parts[-3] if len(parts) >= 3 else ""
+    def _remarks(self, shots: list[list[Shot]], moments: Moments, numbered: bool) -> Iterator[str]:
+        where, person = f"{self._file}, {self.name}", self._person
+        others = sorted(count_people(shots).keys() - {person})
+        if others and not numbered:
+            yield (
+                f"{where}: the people {', '.join(map(str, others))} are annotated beside "
+                f"person {person}; masks must show {person} alone. If their values are the people's ids, set "
+                f"dataset.numbered_masks=true dataset.person={person} (in check: --numbered-masks --person {person})."
+            )
+        if (other := _successor([moment[0] for moment in moments.shots], person)) is not None:
+            number, shot, gap = other
+            yield (
+                f"{where}: person {number} begins in frame {shot.place}, {100 * gap:.0f} cm from where person {person} "
+                f"ends: one person under two numbers? dataset.person={number} trains on the other part; to have both, "
+                "give them one number in the annotations."
+            )
+        if (camera := self._strange_camera()) is not None:
+            yield (
+                f"{where}: person {person} of camera {self.cameras[camera]} is more than {SAME_PLACE:g} m from person "
+                f"{person} of camera {self.cameras[0]} at the same moment: another person under this number, or "
+                f"another world. Train on one camera, as dataset.scene={_alone(self.name, self.cameras[0])}."
+            )
+
+    def _strange_camera(self) -> int | None:
+        """Returns the first camera whose annotation places the person elsewhere than the first camera's."""
+        for camera in range(1, len(self.cameras)):
+            for frame in evenly(range(self.num_frames)):
+                gap = _gap(self._row(frame, 0), self._row(frame, camera))
+                if gap is not None and gap > SAME_PLACE:
+                    return camera
+        return None
+
+    def _masks_needed(self) -> str:
+        example = self.files(0, 0)
+        return (
+            "OcMotion comes without person masks: make one for each picture with a segmenter, 0 and 255 "
+            f"(255 the visible person alone), at {example.masks[0]} for {example.rgb}; or use Wild2Avatar's cut, which "
+            "has masks. dataset.masks names another folder."
+        )
+
+    def _say(self, found: Found, shots: list[list[Shot]], moments: Moments) -> Taken:
+        person, place = self._person, f"annot/{self._file.name}"
+        key = next(key for row in found.cameras[0] for key in row if person_number(key) == person)
+        shapes = len({repr(self._row(frame, 0).get("betas")) for frame in range(self.num_frames)})
+        moves = camera_moves([self._row(frame, 0)["extri"] for frame in range(self.num_frames)])
+        there = self._mask_folder.is_dir()
+        values = "every value but 0" if self._label is None else f"value {self._label}"
+        return Taken(
+            layout="OcMotion as released with CHOMP (chomp), "
+            + ("lists of frames, grouped by sequence" if found.is_flat else "sequences, cameras, frames"),
+            pictures=_left_out_in_words(moments, person, self.num_frames, place),
+            body=f"{place}: SMPL(pose, betas) + trans of person {person} (key {key!r})"
+            + (f", from the rows of {self.cameras[0]}" if len(self.cameras) > 1 else ""),
+            shape=f"betas of {place}, "
+            + ("the same in all frames" if shapes == 1 else f"{shapes} shapes, each frame its own"),
+            masks=f"{self._mask_folder.name}/ with the picture's path, {values}"
+            if there
+            else f"none: {self._mask_folder.name}/ is not there, and OcMotion comes without",
+            cameras=f"{place}: intri and extri of {', '.join(self.cameras)}; "
+            + ("the first moves, which is carried over to the person" if moves else "the first stands still"),
+            centres="0 (OpenCV)",
+            others="; ".join(
+                _others(found, self._file, self._row(0, 0), count_people(shots).keys() - {person})
+            ),
+        )
 
 
-def sequence_names(folder: Path) -> list[str]:
-    """Returns the names of all sequences in the annotations of a folder, in order."""
-    return [name for _, _, name, _ in _all(folder, None)]
-
-
-Sequence = list[list[Mapping[str, Any]]]
-"""Cameras of frames."""
-
-
-def _all(folder: Path, wanted: str | None) -> Iterator[tuple[Path, int, str, Sequence]]:
-    """Yields file, place in it, name and frames of all sequences; frames not wanted have nothing but a path."""
-    for file in (folder / "annot" / "train.pkl", folder / "annot" / "test.pkl"):
-        if file.is_file():
-            for number, cameras in enumerate(_sequences(load_thinned(file, _dropping_all_but(wanted)), file)):
-                name = sequence_name(cameras[0][0].get(PATH, "")) or f"{file.stem}/{number}"
-                yield file, number, name, cameras
-
-
-def _dropping_all_but(wanted: str | None) -> Thin:
-    """Returns what drops the frames of all other sequences; where the path names none, the frame is kept."""
-    stands: dict[str, dict[str, str]] = {}
-
-    def thin(frame: dict[Any, Any]) -> object | None:
-        path = frame.get(PATH)
-        if not isinstance(path, str) or sequence_name(path) in ("", wanted):
-            return None
-        return stands.setdefault(path.rpartition("/")[0], {PATH: path})  # one for each folder of pictures
-
-    return thin
-
-
-def _find(folder: Path, sequence: str) -> tuple[Path, Sequence]:
-    names: list[str] = []
-    for file, number, name, cameras in _all(folder, sequence):
-        if sequence == name:
-            if any(frame.keys() == {PATH} for frames in cameras for frame in frames):
-                # pictures of one sequence lie in folders of several names: rare, and then everything is read
-                cameras = _sequences(load_pickle(file), file)[number]
-            return file, cameras
-        names.append(name)
-    if not names:
-        raise DataError(f"{folder / 'annot'}: holds neither train.pkl nor test.pkl.")
-    raise ConfigError(
-        f"dataset.scene={sequence!r}: the annotations in {folder / 'annot'} have {', '.join(names)[:400]}."
-    )
-
-
-def _sequences(content: Any, file: Path) -> list[list[list[Mapping[str, Any]]]]:
-    """Returns sequences, cameras, frames, their nesting checked."""
-    if not isinstance(content, (list, tuple)):
-        raise DataError(f"{file}: holds a {type(content).__name__}, not a list of sequences.")
-    for number, cameras in enumerate(content):
-        if not isinstance(cameras, (list, tuple)) or not cameras:
-            raise DataError(f"{file}: sequence {number} is no list of cameras.")
-        for camera, frames in enumerate(cameras):
-            if not isinstance(frames, (list, tuple)) or not frames:
-                raise DataError(f"{file}: sequence {number}, camera {camera} is no list of frames.")
-            for index, frame in enumerate(frames):
-                if not isinstance(frame, Mapping):
-                    raise DataError(f"{file}: sequence {number}, camera {camera}, frame {index} is no table.")
-    return list(content)
-
-
-def _people(cameras: list[list[Mapping[str, Any]]]) -> Counter[int]:
-    """Returns in how many frames each person is annotated, by id."""
-    return Counter(
-        int(key) for frames in cameras for frame in frames for key, value in frame.items()
-        if str(key).isdecimal() and len(str(key)) <= MAX_DIGITS and isinstance(value, Mapping)
-    )  # fmt: skip
-
-
-def _choose(cameras: list[list[Mapping[str, Any]]], person: int | None, file: Path) -> int:
-    people = _people(cameras)
+def _choose(cameras: list[list[Shot]], person: int | None, file: Path) -> int:
+    people = count_people(cameras)
     if not people:
         raise DataError(f"{file}: no person is annotated in this sequence.")
     if person is None:
-        return people.most_common(1)[0][0]
+        return min(people, key=lambda number: (-people[number], number))
     if person not in people:
         known = ", ".join(str(known) for known in sorted(people))
         raise ConfigError(f"dataset.person={person}: the sequence has the people {known}.")
     return person
+
+
+def _mask_place(folder: Path, masks: str, first: PurePosixPath) -> tuple[Path, int]:
+    """Returns the folder of masks, and how many parts of a picture's path it leaves out: 0, or `images`."""
+    root = folder / masks
+    short = root.joinpath(*first.parts[1:]).with_suffix(".png")
+    is_short = (
+        first.parts[0] == "images" and not (root / first).with_suffix(".png").exists() and short.exists()
+    )
+    return root, int(is_short)
+
+
+def _successor(shots: list[Shot], person: int) -> tuple[int, Shot, float] | None:
+    """Returns who appears where and when the wanted person ends: number, picture, distance in metres."""
+    for before, after in pairwise(shots):
+        if person not in before.people or person in after.people:
+            continue
+        for number in sorted(after.people.keys() - before.people.keys()):
+            gap = _gap(before.people[person], after.people[number])
+            if gap is not None and gap < SAME_PLACE:
+                return number, after, gap
+    return None
+
+
+def _gap(a: Person, b: Person) -> float | None:
+    """Returns the distance of two annotated people in metres, None where it cannot be told."""
+    try:
+        places = [checks.numbers(row["trans"], 3, "trans") for row in (a, b)]
+    except (KeyError, DataError):
+        return None
+    return float(np.linalg.norm(places[0] - places[1]))
+
+
+def _alone(name: str, camera: str) -> str:
+    number = PurePosixPath(camera).name[-2:]
+    return f"{name}_{number}" if number.isdecimal() else f"{name}_<camera>"
+
+
+def _left_out_in_words(moments: Moments, person: int, kept: int, place: str) -> str:
+    """Returns how many moments are used and why the others are not."""
+    total = len(moments.shots) + moments.lost
+    text = f"{kept} of the {total} moments of {place}, "
+    text += "paired by the numbers in their names" if moments.by_number else "by their place in the lists"
+    if moments.lost:
+        text += f"; {moments.lost} left out that not every camera has"
+    if absent := len(moments.shots) - kept:
+        lacking = [shots for shots in moments.shots if any(person not in shot.people for shot in shots)]
+        nobody = sum(not any(shot.people for shot in shots) for shots in lacking)
+        everywhere = " in every camera" if len(moments.shots[0]) > 1 else ""
+        text += (
+            f"; {absent} left out that do not show person {person}{everywhere} ({nobody} of them show nobody)"
+        )
+    return text
+
+
+def _others(found: Found, file: Path, row: Person, people: set[int]) -> Iterator[str]:
+    """Yields what else the annotations have and how to ask for it."""
+    if found.unread:
+        yield f"cameras {', '.join(found.unread)} (dataset.scene={found.name} takes all)"
+    if people:
+        yield f"people {', '.join(map(str, sorted(people)))} (dataset.person)"
+    if unread := [str(key) for key in row if key not in _READ]:
+        yield f"of the person: {', '.join(unread[:12])}"
+    if spare := [f"annot/{other.name}" for other in annotation_files(file.parents[1]) if other != file]:
+        yield f"{spare[0]}, whose sequences are named in the same way"

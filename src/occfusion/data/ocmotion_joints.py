@@ -79,10 +79,11 @@ def limb_distances(keypoints: Any, joints: Array, camera: Calibration, where: st
     columns = 3 if checks.count_of(keypoints) == 3 * LSP_COUNT else 2
     points = checks.numbers(keypoints, columns * LSP_COUNT, where).reshape(LSP_COUNT, columns)
     pixels, depth = checks.project(joints, camera)
-    known = points[:, :2].any(axis=1) & (points[:, :2] >= 0).all(axis=1)
-    if columns == 3:  # noqa: PLR2004
-        known &= points[:, 2] > 0
-    pairs = [(a, b) for a, b in LSP_LIMBS.items() if known[a] and depth[b] > 0]
+    known = np.any(points[:, :2], axis=1) & np.all(points >= 0, axis=1)
+    if columns == 3:
+        known = known & (points[:, 2] > 0)
+    seen = set(np.flatnonzero(known).tolist())
+    pairs = [(a, b) for a, b in LSP_LIMBS.items() if a in seen and depth[b] > 0]
     away = [float(np.linalg.norm(points[a, :2] - pixels[b])) for a, b in pairs]
     return np.array(away), float(np.ptp(pixels[:, 1]))
 

@@ -30,6 +30,7 @@ from occfusion.data.humannerf_layout import entry, need, table
 from occfusion.data.lens import OPENCV_CENTRE
 from occfusion.data.listing import SUFFIXES, natural, partners, pictures_in, require_same
 from occfusion.data.ocmotion_joints import Posing, evenly, require_rest_joints
+from occfusion.data.ocmotion_moments import camera_moves
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.errors import DataError
 from occfusion.files.jsonfile import load_json
@@ -97,7 +98,6 @@ class W2aScene(Scene):
             where,
             OPENCV_CENTRE,
         )
-        moves = any(not np.allclose(view, views[0], rtol=0, atol=1e-6) for view in views)
         self._meshes = self._read_meshes()
         self.taken = Taken(
             layout="OcMotion as Wild2Avatar cut it (w2a)",
@@ -113,7 +113,7 @@ class W2aScene(Scene):
             masks=f"{masks}/, "
             + ("every value but 0 (soft edges: from 128 on)" if person is None else f"value {person}"),
             cameras=f"{METADATA}: cam_intrinsics and cam_extrinsics; the camera "
-            + ("moves, which is carried over to the person" if moves else "stands still"),
+            + ("moves, which is carried over to the person" if camera_moves(views) else "stands still"),
             centres="0 (OpenCV)",
             others=_others(folder, masks),
         )
@@ -142,9 +142,10 @@ class W2aScene(Scene):
         Raises:
             DataError: its joints at rest are another body's.
         """
-        path, doubts = self.root / MESHES, []
+        path = self.root / MESHES
+        doubts: list[str] = []
         known = [frame for frame, name in enumerate(self._names) if name in self._meshes]
-        turned = []
+        turned: list[str] = []
         for frame in evenly(known):
             name = self._names[frame]
             row, where, body = entry(self._meshes, name, path), f"{path}, {name}", self._own_parameters(frame)
@@ -242,5 +243,5 @@ def _others(folder: Path, masks: str) -> str:
         known.append("HumanNeRF's form of it all is read by dataset=zju dataset.layout=humannerf")
     strange = [name for name in names if name not in NOT_READ]
     if strange:
-        known.append("not looked at: " + ", ".join(strange[:12]) + (" …" if len(strange) > 12 else ""))  # noqa: PLR2004
+        known.append("not looked at: " + ", ".join(strange[:12]) + (" …" if len(strange) > 12 else ""))
     return "; ".join(known)
