@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from occfusion.data.unread_forms import why_unread
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.jsonfile import load_json
 
@@ -103,7 +104,9 @@ def find_layout(folder: Path, among: tuple[str, ...] | None = None, asked: str =
         raise DataError(f"{folder}: no such folder; {_sequences(folder.parent)}.")
     fitting = [layout.name for layout in LAYOUTS if layout.fits(folder)]
     if asked == AUTO and not fitting:
-        raise DataError(f"{folder}: no layout that is known here. {_nearest(folder, list(names.values()))}")
+        unread = why_unread(folder)
+        nearest = f"no layout that is known here. {_nearest(folder, list(names.values()))}"
+        raise DataError(f"{folder}: {unread or nearest}")
     found = _first(folder, fitting) if asked == AUTO else asked
     if found not in names:
         raise DataError(
