@@ -16,6 +16,8 @@ import torch
 from scipy import sparse
 
 from occfusion.__main__ import main
+from occfusion.compose import make_body
+from occfusion.config import BodySettings
 from occfusion.errors import DataError
 from occfusion.files.bodyfile import load_body_arrays
 from occfusion.human import load_body
@@ -155,6 +157,18 @@ def test_an_archive_of_all_keys(tmp_path, save):
     assert vertex_error(path, content) < EXACT
 
 
+def test_sixteen_shape_components_for_a_file_with_ten(tmp_path):
+    """AMASS's `betas` has 16 numbers, SMPL 1.0 has 10 components: left out when the settings say so."""
+    content, path = files.smpl(files.RELEASES[0]), tmp_path / files.RELEASES[0].file
+    path.write_bytes(chumpy.dumps(files.WRAPPED["as released"](content), 2, 2))
+    betas, pose = np.random.default_rng(0).normal(size=16), 0.4 * np.random.default_rng(1).normal(size=72)
+    given = [torch.tensor(part, dtype=torch.float32) for part in (betas, pose[:3], pose[3:], np.zeros(3))]
+    with pytest.raises(DataError, match=r"16 shape components, and the body has 10.*body\.cut_betas=true"):
+        make_body(BodySettings(name="smpl", path=str(path)))(*given)
+    cut = make_body(BodySettings(name="smpl", path=str(path), cut_betas=True))(*given)[0].numpy()
+    assert np.abs(cut - upstream_vertices(content, betas[:10], pose, np.zeros(3))).max() < EXACT
+
+
 def test_an_archive_with_a_matrix_as_an_object_is_refused(tmp_path):
     path = tmp_path / "SMPL_NEUTRAL.npz"
     np.savez(path, **files.smpl(files.RELEASES[5]))
@@ -236,6 +250,8 @@ def test_a_body_with_code_in_its_set_is_refused(tmp_path):
     "name",
     ["python2.7_p0_select_used.pkl", "python2.7_p2_concatenate_used.pkl", "python3.8_p4_select_used.pkl"],
 )
+@pytest.mark.filterwarnings("ignore:invalid escape sequence")
+@pytest.mark.filterwarnings("ignore:invalid octal escape")
 def test_damage_to_a_real_file_gives_a_body_or_an_error(tmp_path, name):
     rng = np.random.default_rng(0)
     content = real_files()[name]
