@@ -4,8 +4,8 @@
   `data/animation/aist_demo.npz`; the person stands before a camera at the origin with OpenCV's axes, so that up is -y.
   The avatar's own betas are used.
 * google/aistplusplus_api@3b5b8f91, `aist_plusplus/loader.py` and `processing/run_estimate_smpl.py` (@0432ed57): a
-  pickle of `smpl_poses` N x 72 (the loader's comment says N x 24 x 3), `smpl_scaling` (1,), `smpl_trans` N x 3, all float32,
-  and `smpl_loss`, a Python float; `pickle.HIGHEST_PROTOCOL`; `demos/run_vis.py`: vertices are
+  pickle of `smpl_poses` N x 72 (the loader's comment says N x 24 x 3), `smpl_scaling` (1,), `smpl_trans` N x 3, all
+  float32, and `smpl_loss`, a Python float; `pickle.HIGHEST_PROTOCOL`; `demos/run_vis.py`: vertices are
   `smpl_scaling * M(poses) + smpl_trans` in the units of its cameras, 60 frames a second, y up. No betas: the mean man.
 * AMASS, as nghorbani/amass and its users load it: `trans` N x 3, `gender` a 0-d array of text (bytes in files that
   Python 2 wrote), `mocap_framerate` 0-d float64, `betas` (16,), `dmpls` N x 8, `poses` N x 156; z up. Its SMPL-X

@@ -8,9 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hydra import compose, initialize_config_dir
 
 from data import layout_writers
 from data.layout_writers import Source
+from occfusion.compose import make_data
+from occfusion.config import load_settings
 from occfusion.data import VideoDataModule
 from occfusion.data.pose_tracks import open_tracks
 from occfusion.data.video_presets import INSTANT_AVATAR
@@ -228,8 +231,6 @@ def test_a_fit_with_an_avatar_goes_before_the_optimized_poses(source, tmp_path):
 
 def test_the_first_estimate_alone_still_reads_and_its_camera_is_known(source, tmp_path):
     folder = write_neuman(source, tmp_path / "mine", optimized=False, camera=romp_camera(SIZE, SIZE))
-    (folder / "keypoints.npy").unlink()
-    shutil.rmtree(folder / "masks_sam")
     data = opened(folder, source)
     data.setup()
     assert data.taken.body.startswith("poses.npz")
@@ -327,3 +328,29 @@ def test_forms_that_others_must_convert_first(source, tmp_path):
         (raw / name).write_bytes(b"")
     with pytest.raises(DataError, match=r"PeopleSnapshot as released.*preprocess_PeopleSnapshot.py"):
         opened(raw, source).setup()
+
+
+def test_all_of_it_can_be_asked_for_on_the_command_line(source, tmp_path):
+    folder = write_peoplesnapshot(source, tmp_path / "someone")
+    write_track(source, folder, "train", 2, 17, 3)
+    asked = (
+        "track_frames=[2,18,3]",
+        "betas=[0.5,-0.25]",
+        "pixel_centres=0.5",
+        "poses=poses/train.npz",
+        "protocol=null",
+    )
+    with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
+        config = compose(
+            "config",
+            [
+                "dataset=video",
+                f"dataset.root={tmp_path}",
+                "dataset.scene=someone",
+                *(f"dataset.{key}" for key in asked),
+            ],
+        )
+    data = make_data(load_settings(config), source.body)
+    assert isinstance(data, VideoDataModule)
+    assert data.train_indices == tuple(range(6)) and data.pose(0).betas.tolist() == [0.5, -0.25]
+    assert data.taken.centres == "the middle of the first pixel is 0.5 (dataset.pixel_centres)"

@@ -53,7 +53,6 @@ def instantavatar_marks(folder: Path, masks: Mapping[str, Path]) -> tuple[str, .
     if any(path.suffix.lower() == SUFFIX for path in masks.values()):
         marks.append("masks are arrays")
     marks += [name for name in pose_files(folder) if name != FIRST][:1]
-    marks += [name for name in ("keypoints.npy", "masks_sam") if (folder / name).exists()][:1]
     return tuple(marks)
 
 
