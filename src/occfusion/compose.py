@@ -11,6 +11,7 @@ from occfusion.config import BodySettings, Settings
 from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.human import Body, embedded_body, load_body
+from occfusion.human.unblended import without_pose_blend_shapes
 
 TARGET_PREFIX = "occfusion."
 """Data sets are named by import path; nothing outside this package is ever instantiated from a file."""
@@ -24,7 +25,8 @@ def make_body(settings: BodySettings) -> Body:
         ConfigError: a licensed body without a file.
     """
     if settings.path is not None:
-        return load_body(settings.path, cut_betas=settings.cut_betas)
+        body = load_body(settings.path, cut_betas=settings.cut_betas)
+        return body if settings.pose_blend_shapes else without_pose_blend_shapes(body)
     if settings.name == "anny":
         return embedded_body()
     raise ConfigError(

@@ -52,6 +52,7 @@ class BodySettings:
     name: str = "anny"
     path: str | None = None
     cut_betas: bool = False
+    pose_blend_shapes: bool = True
 
 
 @dataclass

@@ -55,6 +55,7 @@ class OcclusionSettings:
             frame; `moving`: a full-height bar that sweeps over the person's range; `polygons`: a random
             one over the person in each frame; `files`: the masks of a folder, in order.
         fraction: share of the training frames, from the first on, that are occluded.
+        until: the frames of the sequence below this number are occluded, in place of `fraction`; None: by that.
         share: share of the person to hide, mean over the occluded frames, where the width is not given.
         mid: middle column of the strip, of a picture 1024 wide; from the table or the data when None.
         width: columns of the strip or bar, of a picture 1024 wide; from the table or the data when None.
@@ -72,6 +73,7 @@ class OcclusionSettings:
     sweeps: float = 2.0
     seed: int = 0
     folder: str | None = None
+    until: int | None = dataclasses.field(default=None, repr=False)  # what it hides is in the data's hash
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -82,6 +84,8 @@ class OcclusionSettings:
         _check_range("seed", self.seed, 0, 2**32 - 1)
         if not isinstance(self.seed, int):
             raise ConfigError(f"dataset.occlusion.seed={self.seed!r}: must be a whole number.")
+        if self.until is not None and (isinstance(self.until, bool) or not isinstance(self.until, int)):
+            raise ConfigError(f"dataset.occlusion.until={self.until!r}: must be a whole number, or null.")
         if self.kind == "files" and not self.folder:
             raise ConfigError(
                 "dataset.occlusion.kind=files needs dataset.occlusion.folder, a folder of masks."
@@ -134,6 +138,8 @@ def plan(
         numbers, size = frames or range(len(silhouettes)), (silhouettes[0].width, silhouettes[0].height)
         return tuple(read_occlusion(folder, numbers, size))
     occluded = round(settings.fraction * len(silhouettes))
+    if settings.until is not None:
+        occluded = sum(number < settings.until for number in frames or range(len(silhouettes)))
     if settings.kind == "none" or occluded == 0:
         return (None,) * len(silhouettes)
     if settings.kind == "strip":

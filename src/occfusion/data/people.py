@@ -26,7 +26,7 @@ def read_people(files: PictureFiles) -> tuple[Mask, Mask]:
         DataError: a mask is missing, damaged, of another size than the first, or cannot number people.
     """
     if files.label is None:
-        person = _united([read_mask(path) for path in files.masks], files)
+        person = _united([read_mask(path, any_value=files.any_value) for path in files.masks], files)
         return person, np.zeros_like(person)
     numbers = [read_numbers(path) for path in files.masks]
     person = _united([number == files.label for number in numbers], files)

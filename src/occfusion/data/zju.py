@@ -15,7 +15,8 @@ from occfusion.data.posing import RestBody
 from occfusion.data.prepare import Selection
 from occfusion.data.presets import find_preset, place_strip, select
 from occfusion.data.scene import Scene
-from occfusion.data.zju_layout import ZjuScene
+from occfusion.data.stored_vertices import compare_with_stored
+from occfusion.data.zju_layout import AUTO_FIT, ZjuScene
 from occfusion.errors import ConfigError
 
 
@@ -27,7 +28,7 @@ class ZjuDataModule(HumanDataModule):
         root: Path | str | None,
         scene: str | None,
         body: RestBody,
-        image_size: int = 512,
+        image_size: int | None = None,
         train_camera: int | None = None,
         test_cameras: Sequence[int] | None = None,
         train_frames: Sequence[int | None] | None = None,
@@ -36,6 +37,7 @@ class ZjuDataModule(HumanDataModule):
         masks: str | None = None,
         layout: str = "auto",
         protocol: str = "paper",
+        fit: str = AUTO_FIT,
         seed: int = 0,
         cache_megabytes: float = 200.0,
     ) -> None:
@@ -45,16 +47,17 @@ class ZjuDataModule(HumanDataModule):
             root: the folder that holds the sequences.
             scene: the sequence's folder.
             body: the body the parameters belong to.
-            image_size: longer side in pixels after scaling; pictures are never enlarged.
+            image_size: longer side in pixels after scaling, the protocol's when None; pictures are never enlarged.
             train_camera: index of the one camera that is trained on; the protocol's when None.
-            test_cameras: indices of the held-out cameras; all the others when None.
+            test_cameras: indices of the held-out cameras; the protocol's when None.
             train_frames: `[start, stop, step]`; the protocol's, cut to the sequence, when None.
             test_frames: the same for held-out views.
             occlusion: a kind or its settings; applied to the training camera alone.
-            masks: `mask`, `mask_cihp`, or `mask+mask_cihp` for their union; the protocol's when None. In
+            masks: `mask`, `mask_cihp`, `schp`, or `mask+mask_cihp` for the union; the protocol's when None. In
                 HumanNeRF's form the one folder of masks, `masks`.
             layout: `original`, `refined`, `humannerf`, or `auto` to look.
-            protocol: `paper`, `gauhuman` or `occnerf`.
+            protocol: a name in `PRESETS`.
+            fit: folder of the body parameters, `new_params`, `params` or `smpl_params`; `auto` takes the newest.
             seed: of the order of training frames.
             cache_megabytes: how much memory decoded training frames may take.
 
@@ -71,8 +74,11 @@ class ZjuDataModule(HumanDataModule):
         if train_camera is None:
             train_camera = 0 if alone else preset.train_camera
         asked = Selection(train_camera, test_cameras, train_frames, test_frames)
-        hidden = place_strip(preset, folder.name, OcclusionSettings.parse(occlusion))
-        super().__init__(body, select(preset, folder.name, asked), image_size, hidden, seed, cache_megabytes)
+        asked_occlusion = OcclusionSettings.parse(occlusion)
+        hidden = place_strip(preset, folder.name, asked_occlusion, own_frames=train_frames is not None)
+        size = preset.image_size if image_size is None else image_size
+        super().__init__(body, select(preset, folder.name, asked), size, hidden, seed, cache_megabytes)
+        self._body, self._fit = body, fit
         self._folder = folder
         self._masks = masks or ("masks" if alone else preset.masks)
 
@@ -81,5 +87,6 @@ class ZjuDataModule(HumanDataModule):
         layout = find_layout(self._folder, ZJU, self._layout)
         if layout == "humannerf":
             return noted(HumanNerfScene(self._folder, self.poser, self._masks), self._folder, layout)
-        reader = ZjuScene(self._folder, self.poser.pelvis, self._masks, refined=layout == "refined")
-        return noted(reader, self._folder, layout)
+        refined = layout == "refined"
+        reader = ZjuScene(self._folder, self.poser.pelvis, self._masks, refined=refined, fit=self._fit)
+        return noted(compare_with_stored(reader, self._body), self._folder, layout)
