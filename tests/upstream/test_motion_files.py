@@ -191,7 +191,7 @@ def test_sixteen_betas_and_a_body_of_ten(source, rows, video):
     longer = np.concatenate([rows["betas"], [0.0, 0.53, 0, 0, 0, -0.2]])
     write_amass(video / "poses.npz", *dance(rows), longer, np.array("male"))
     with pytest.raises(
-        DataError, match=r"betas are 16.*dataset.betas=10 uses the first 10 \(the largest .* is 0.53\)"
+        DataError, match=r"betas are 16.*dataset.betas=10 to use the first 10 \(the largest .* is 0.53\)"
     ):
         opened(video, source).setup()
     data = opened(video, source, betas=10)

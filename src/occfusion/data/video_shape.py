@@ -56,8 +56,8 @@ def choose_betas(
             raise
         rest = float(np.abs(first[USUAL_BETAS:]).max())
         raise DataError(
-            f"{where} are {len(first)}, which this body does not take: {error}. dataset.betas={USUAL_BETAS} uses the "
-            f"first {USUAL_BETAS} (the largest of the others is {rest:.2g}), or give a body file with {len(first)}."
+            f"{where} are {len(first)}, which this body does not take: {str(error).rstrip('.')}. Or say "
+            f"dataset.betas={USUAL_BETAS} to use the first {USUAL_BETAS} (the largest of the others is {rest:.2g})."
         ) from error
     return betas, said
 
