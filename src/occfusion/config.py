@@ -122,6 +122,7 @@ class Settings:
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
     speed: Named = field(default_factory=Named)
+    registration: str = "auto"
     plan: str = "needed"
     seed: int = 0
     output_dir: str = ""
@@ -211,6 +212,7 @@ def _check_choices(settings: Settings) -> None:
     _check_in("prior.name", str(settings.prior.get("name")), PRIORS)
     _check_in("init.source", settings.init.source, ("prior", "truth"))
     _check_in("plan", settings.plan, ("needed", "full"))
+    _check_in("registration", settings.registration, ("auto", "off"))
     _check_in("refine.source", settings.refine.source, ("prior", "coarse", "truth"))
     _check_in("refine.gen_pixels", settings.refine.gen_pixels, ("unseen", "hidden"))
     _check_range("optim.mask_hidden", settings.optim.mask_hidden, 0.0, 1.0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occfusion.config import STAGES, Settings, stages_to_run
+from occfusion.data.registered import SceneRegistration
 from occfusion.priors.evidence import FITTING, HIDDEN_SHARE
 from occfusion.priors.key_light import KeyLight
 from occfusion.priors.moments import Moment, misfit_of, poses_fit
@@ -43,6 +44,14 @@ class Decision:
     part: str
     used: bool
     reason: str
+
+
+def registration_decision(registered: SceneRegistration | None) -> Decision:
+    """Returns whether cameras are corrected: where pictures are certainly shifted or scaled against them."""
+    part = "camera correction"
+    if registered is None:
+        return Decision(part, False, "registration = off; nothing was measured")
+    return Decision(part, bool(registered.corrections), registered.text())
 
 
 def stage_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:

@@ -16,7 +16,13 @@ from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline
 from occfusion.init_run import look_at_training_frames
 from occfusion.inpaint.registry import check_inpainter
-from occfusion.needs import Decision, as_planned, may_leave_out_networks, with_everything
+from occfusion.needs import (
+    Decision,
+    as_planned,
+    may_leave_out_networks,
+    registration_decision,
+    with_everything,
+)
 from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
 from occfusion.priors.key_light import KeyLight, find_key_light
 from occfusion.priors.moments import Moment
@@ -74,6 +80,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     body = make_body(settings.body)
     data = make_data(settings, body)
     data.validate()
+    registered = data.register(body.faces.cpu().numpy()) if settings.registration == "auto" else None
     summary = data.summary()
     print("\n".join(["data taken", *(f"  {line}" for line in data.taken.lines())]))
     backend = resolve_backend(settings.rasterizer.name, device_of(settings), torch.float32)
@@ -90,12 +97,15 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         )
     if moments is not None and settings.plan == "full":
         moments = with_everything(moments)
-    decisions = planning.make_plan(settings, summary, backend, moments, key_light)
+    decisions = [registration_decision(registered)]
+    decisions += planning.make_plan(settings, summary, backend, moments, key_light)
     decisions += planning.precision_decisions(settings, decisions, device_of(settings))
     _check_priors(settings, decisions)
     folder = claim_run_folder(
         settings, summary["hash"], chosen_by_user=folder_chosen_by_user, data=summary["taken"]
     )
+    if decisions[0].used:
+        print(f"{decisions[0].part}: {decisions[0].reason}")
     if not is_helper():
         write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
     stages = [

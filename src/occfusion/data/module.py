@@ -10,13 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
 from occfusion.data import survey, validation
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.posing import Poser, RestBody
 from occfusion.data.prepare import Prepared, Selection, prepare
+from occfusion.data.registered import SceneRegistration, register_scene
 from occfusion.data.sampling import StepSampler, StepStream, ViewStream, prefetched
 from occfusion.data.scene import Scene, Taken
 from occfusion.data.stored_occlusion import write_occlusion
@@ -66,6 +69,7 @@ class HumanDataModule(L.LightningDataModule):
         self._cache_bytes = int(cache_megabytes * 1e6)
         self._opened: tuple[Prepared, Views, StepSampler] | None = None
         self._shares: list[float] | None = None
+        self.registration: SceneRegistration | None = None
 
     @abstractmethod
     def open_scene(self) -> Scene:
@@ -99,6 +103,18 @@ class HumanDataModule(L.LightningDataModule):
             if finding not in self.findings:
                 self.findings.append(finding)
                 _log.warning(finding)
+
+    def register(self, faces: NDArray[np.int64]) -> SceneRegistration:
+        """Measures whether pictures lie where the cameras say, and corrects cameras where it is certain that not.
+
+        Args:
+            faces: of the body, `[F, 3]`.
+        """
+        if self.registration is None:
+            prepared, views, _ = self._open()
+            self.registration = register_scene(prepared, views, self.poser, faces)
+            views.corrections = self.registration.corrections
+        return self.registration
 
     def _open(self) -> tuple[Prepared, Views, StepSampler]:
         if self._opened is None:
@@ -149,7 +165,8 @@ class HumanDataModule(L.LightningDataModule):
 
     def camera(self, index: int) -> Camera:
         """Returns a camera at frame size."""
-        return self._open()[1].lens(index).camera()
+        prepared, views, _ = self._open()
+        return views.camera_at(prepared.train[0] if index == prepared.camera else prepared.test[0], index)
 
     def pose(self, frame: int) -> Pose:
         """Returns the body parameters of a frame of the sequence."""
@@ -250,6 +267,8 @@ class HumanDataModule(L.LightningDataModule):
         shares, lens = self._visible_shares(), views.lens(prepared.camera)
         settings = repr((self.occlusion, self.image_size, prepared.train, prepared.test_views))
         settings += survey.hidden_digest(prepared.hidden)
+        if views.corrections:
+            settings += repr(sorted(views.corrections.items()))
         selected = [*prepared.train_views, *prepared.test_views]
         return {
             "scene": prepared.scene.name,

@@ -16,18 +16,24 @@ from occfusion.data.cache import BoundedCache
 from occfusion.data.lens import Lens
 from occfusion.data.packing import Packed, pack
 from occfusion.data.prepare import Prepared
+from occfusion.data.registration import NONE, Correction
 from occfusion.data.scene import BodyParameters
 from occfusion.errors import DataError
 from occfusion.files.images import image_size, read_mask
 from occfusion.geometry.zbuffer import rasterize_mesh
-from occfusion.types import Frame, Pose, Truth
+from occfusion.types import Camera, Frame, Pose, Truth
 
 _KEPT_LENSES = 3
 """Undistortion maps take 6 bytes a pixel and camera; held-out views are visited camera by camera."""
 
 
 class Views:
-    """Makes the frames of a prepared scene at one size."""
+    """Makes the frames of a prepared scene at one size.
+
+    Attributes:
+        complete_masks: where the complete mask of a frame lies; None where no stage has made any.
+        corrections: what the intrinsics of a camera lack, by its index, in pixels of the stored pictures.
+    """
 
     def __init__(self, prepared: Prepared, image_size: int, cache_bytes: int) -> None:
         self._prepared = prepared
@@ -38,6 +44,7 @@ class Views:
         self.complete_masks: Callable[[int], Path] | None = None
         self._complete: dict[Path, NDArray[np.uint8]] = {}
         self._lock = Lock()
+        self.corrections: dict[int, Correction] = {}
 
     def train_frame(self, position: int, *, truth: bool, complete: bool = False) -> Frame:
         """Returns the training frame at a position; kept in memory while there is room.
@@ -93,6 +100,11 @@ class Views:
         lens, scene = self.lens(camera), self._prepared.scene
         return replace(lens, calibration=scene.view(frame, camera)) if scene.zooms else lens
 
+    def camera_at(self, frame: int, camera: int) -> Camera:
+        """Returns the camera of a frame at its size, corrected by what `corrections` has for it."""
+        lens, correction = self.lens_at(frame, camera), self.corrections.get(camera, NONE)
+        return correction.resized(lens.size[0] / lens.source[0]).corrected(lens.camera())
+
     def _make_lens(self, camera: int) -> Lens:
         scene = self._prepared.scene
         frame = self._prepared.train[0] if camera == self._prepared.camera else self._prepared.test[0]
@@ -123,7 +135,7 @@ class Views:
             occluded=packed.occluded() if truth else None,
             complete_mask=None,
             truth=None if known is None else Truth(*known, self._true_depth(frame, camera)),
-            camera=self.lens_at(frame, camera).camera(),
+            camera=self.camera_at(frame, camera),
             pose=self.pose(frame),
         )
 
@@ -131,7 +143,7 @@ class Views:
         """Returns the depth of the true surface, `[H, W]`, infinite where there is none; None if not known."""
         if self._prepared.scene.surface is None:
             return None
-        surface, view = self._prepared.scene.surface(frame), self.lens_at(frame, camera).camera()
+        surface, view = self._prepared.scene.surface(frame), self.camera_at(frame, camera)
         viewmat, K = view.viewmat.double().numpy(), view.K.double().numpy()
         points = surface.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
         depths = points[:, 2]

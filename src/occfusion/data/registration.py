@@ -1,0 +1,387 @@
+"""Are the pictures where the cameras say? A constant shift and scale of the person against the projected body.
+
+A principal point that counts pixels from another corner, a crop or a resampling that the calibration does not know
+of, a focal length that is off: all frames of a camera then show the person shifted by the same pixels, or scaled
+about the same point. At 256 px, half a pixel costs an exact scene more than five decibels.
+
+Clothes, hair and shoes stand off the body as well, but with the body: what stands off to the left in one frame does
+so to the right once the person has turned. So the offsets between the outlines of body and mask are explained by both
+at once:
+
+    offset = normal . (shift + scale (point - principal point)) + f / depth (mean + part[v] + patch[v]) + noise
+
+`part` and `patch` are what stands off at 24 and 300 places of the body. A normal prior of a centimetre on each keeps
+what the frames cannot tell apart out of the shift, and shows in its error. The fit is robust (Tukey's biweight): an
+occluder's edge is no outline. The error is that of leaving out tenths of the video in turn, since errors of
+neighbouring poses are alike, and of the prior, and of what was measured on people whose cameras are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from occfusion.geometry.outlines import outline_offsets
+from occfusion.geometry.zbuffer import rasterize_mesh
+from occfusion.types import Camera
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+PARTS, PATCHES = 24, 300
+STANDS_OFF = 0.01
+"""Metres: what clothes, hair and shoes of a part, or of a patch of it, stand off more or less than others."""
+MEAN_STANDS_OFF = 0.02
+"""Metres: of the person as a whole."""
+REACH = 0.04
+"""Of the person's size in the picture: farther edges are not this outline's."""
+SAMPLES = 2
+"""A side, in each pixel of the projected body."""
+CORRELATED = 3.0
+"""Neighbouring pixels of an outline err alike: so many of them count as one."""
+LEAST_NOISE = 0.2
+"""Pixels: the staircase of a binary mask."""
+BIWEIGHT = 4.7
+"""Standard deviations beyond which Tukey's biweight gives no weight."""
+ITERATIONS = 15
+ROUNDS, SETTLED = 4, 0.02
+"""Outlines are looked for anew where the correction puts them, until it moves by less than so many pixels."""
+BLOCKS, LEAST_BLOCKS = 10, 5
+LEAST_POINTS = 1000
+"""Fewer points of the outline tell too little."""
+MOST_FRAMES = 100
+CERTAIN, LIKELY = 4.0, 2.0
+"""Errors from which on something is off for certain; and from which on, where something is, a part of it is taken."""
+SHIFT_DIGITS, SCALE_DIGITS = 3, 5
+"""A correction is rounded, so that another machine's last digits make no other run of it."""
+SYSTEMATIC_SHIFT = 3e-4
+"""Of the person's size. Eleven embedded people below number 100 with exact cameras: 0.02 px across and 0.09 px down
+at most, of 190 (docs/registration.md)."""
+SYSTEMATIC_SCALE = 1.2e-3
+"""The same people: 0.0014 at most."""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a camera's intrinsics lack; applied by `corrected`.
+
+    Attributes:
+        shift: of the principal point, x and y, pixels of the picture that the camera is of.
+        scale: of the focal lengths, less 1.
+    """
+
+    shift: tuple[float, float] = (0.0, 0.0)
+    scale: float = 0.0
+
+    @property
+    def is_none(self) -> bool:
+        """Whether it changes nothing."""
+        return not any((*self.shift, self.scale))
+
+    def resized(self, factor: float) -> Correction:
+        """Returns it for the picture made larger by `factor`."""
+        return Correction((self.shift[0] * factor, self.shift[1] * factor), self.scale)
+
+    def corrected(self, camera: Camera) -> Camera:
+        """Returns the camera with its intrinsics corrected."""
+        if self.is_none:
+            return camera
+        K = camera.K.clone()
+        K[[0, 1], [0, 1]] *= 1.0 + self.scale
+        K[:2, 2] += K.new_tensor(self.shift)
+        return Camera(camera.viewmat, K, camera.width, camera.height)
+
+
+NONE = Correction()
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How far pictures lie off the cameras, measured.
+
+    Attributes:
+        shift: x and y, pixels.
+        scale: of the pictures about the principal point, less 1.
+        shift_error: standard errors of `shift`.
+        scale_error: of `scale`.
+        correction: what is certain of it, or likely where something is; nothing if nothing is certain.
+        frames: pictures that were measured.
+        points: of outlines in them.
+    """
+
+    shift: tuple[float, float]
+    scale: float
+    shift_error: tuple[float, float]
+    scale_error: float
+    correction: Correction
+    frames: int
+    points: int
+
+    def text(self) -> str:
+        """Returns the measurement in words."""
+        (x, y), (ex, ey) = self.shift, self.shift_error
+        return (
+            f"pictures lie ({x:+.2f} ± {ex:.2f}, {y:+.2f} ± {ey:.2f}) px off the projected body, scaled by "
+            f"{1 + self.scale:.4f} ± {self.scale_error:.4f} ({self.frames} frames)"
+        )
+
+
+@dataclass(frozen=True)
+class View:
+    """A posed body before a camera, and the mask there.
+
+    Attributes:
+        group: what errors are alike in: the frame's place in time, or the camera's number.
+        vertices: in the world, `[V, 3]`, metres.
+        camera: at the size of the mask, as calibrated.
+        mask: of the visible person, `[H, W]`.
+    """
+
+    group: int
+    vertices: Floats
+    camera: Camera
+    mask: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Offsets:
+    """Points of outlines of many views, `[N]` each.
+
+    `fields` are the pixels by which a unit of each unknown moves a point along its normal, `[N, 3]`: shift in x,
+    shift in y, scale. `size` is the person's in the picture, pixels.
+    """
+
+    fields: Floats
+    offsets: Floats
+    vertices: Ints
+    pixels_per_metre: Floats
+    groups: Ints
+    size: float
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+
+def register(views: Sequence[View], faces: Ints, rest: Floats) -> Registration | None:
+    """Returns how far the pictures of a camera lie off it; None where outlines tell too little.
+
+    Args:
+        views: of one camera, in the order of time.
+        faces: of the body, `[F, 3]`.
+        rest: its vertices at rest, `[V, 3]`, metres.
+    """
+    places, total = _places(rest), np.zeros(3)
+    for _ in range(ROUNDS):
+        base = total
+        data = _measured(views, faces, _correction(base))
+        blocks = _blocks(data.groups)
+        if len(data) < LEAST_POINTS or len(np.unique(blocks)) < LEAST_BLOCKS:
+            return None
+        fit = _Fit(data, places)
+        total = base + fit.unknowns
+        if (np.abs(total - base) * (1.0, 1.0, data.size)).max() < SETTLED:
+            break
+    error = fit.errors(blocks, data.size)
+    x, y, scale = (float(value) for value in total)
+    return Registration(
+        shift=(x, y),
+        scale=scale,
+        shift_error=(float(error[0]), float(error[1])),
+        scale_error=float(error[2]),
+        correction=_certain(total, error),
+        frames=len(views),
+        points=len(data),
+    )
+
+
+def agreement(
+    views: Sequence[View], corrections: Sequence[Correction], faces: Ints, rest: Floats
+) -> tuple[float, float] | None:
+    """Returns how much of a correction other cameras ask for: 1 all of it, 0 nothing; and its standard error.
+
+    Args:
+        views: of other cameras; `group` is the camera.
+        corrections: the same correction, at the size of each view.
+        faces: of the body, `[F, 3]`.
+        rest: its vertices at rest, `[V, 3]`, metres.
+
+    Returns:
+        None where outlines tell too little.
+    """
+    data = _measured(views, faces, Correction())
+    if len(data) < LEAST_POINTS:
+        return None
+    by_group = {view.group: correction for view, correction in zip(views, corrections, strict=True)}
+    amounts = np.array([[*by_group[int(g)].shift, by_group[int(g)].scale] for g in data.groups])
+    along = (data.fields * amounts).sum(axis=1, keepdims=True)
+    moved = _Offsets(along, data.offsets, data.vertices, data.pixels_per_metre, data.groups, data.size)
+    fit = _Fit(moved, _places(rest))
+    groups = np.unique(data.groups)
+    blocks = np.searchsorted(groups, data.groups) % min(BLOCKS, len(groups))
+    spread = fit.left_out(blocks) if len(groups) > 1 else np.zeros(1)
+    return float(fit.unknowns[0]), float(np.sqrt(spread + fit.prior_variance())[0])
+
+
+def _correction(values: Floats) -> Correction:
+    x, y, scale = (float(value) for value in values)
+    return Correction((x, y), scale)
+
+
+def _measured(views: Iterable[View], faces: Ints, correction: Correction) -> _Offsets:
+    parts = []
+    for view in views:
+        camera = correction.corrected(view.camera)
+        viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
+        local = view.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
+        depth = local[:, 2]
+        pixels = (local[:, :2] / np.where(depth > 0.01, depth, 1.0)[:, None]) @ K[:2, :2].T + K[:2, 2]
+        size = float(np.ptp(pixels[depth > 0.01], axis=0).max(initial=0.0))
+        box = _window(pixels, depth, view.mask.shape, REACH * size)
+        if box is None:
+            continue
+        left, top, width, height = box
+        corner = np.array([left, top], dtype=np.float64)
+        zbuffer = rasterize_mesh(SAMPLES * (pixels - corner), depth, faces, SAMPLES * width, SAMPLES * height)
+        faces_seen = zbuffer.face.reshape(height, SAMPLES, width, SAMPLES)
+        coverage = (faces_seen >= 0).mean(axis=(1, 3), dtype=np.float32)
+        found = outline_offsets(
+            coverage, view.mask[top : top + height, left : left + width], max(REACH * size, 3.0)
+        )
+        face = faces_seen.max(axis=(1, 3))[found.pixels[:, 0], found.pixels[:, 1]]
+        vertices = faces[face, 0]
+        to_point = found.points + corner - K[:2, 2]
+        scale = (to_point * found.normals).sum(axis=1)
+        parts.append(
+            (
+                np.column_stack([found.normals, scale]), found.offsets, vertices,
+                K[0, 0] / depth[vertices], np.full(len(vertices), view.group), size,
+            )
+        )  # fmt: skip
+    if not parts:
+        return _Offsets(np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0), np.zeros(0, int), 0.0)
+    fields, offsets, vertices, per_metre, groups = (
+        np.concatenate([part[k] for part in parts]) for k in range(5)
+    )
+    return _Offsets(fields, offsets, vertices, per_metre, groups, float(np.median([p[5] for p in parts])))
+
+
+def _window(
+    pixels: Floats, depth: Floats, shape: tuple[int, ...], margin: float
+) -> tuple[int, int, int, int] | None:
+    """Returns the part of the picture about the body, x, y, width, height; None where the body is out of it."""
+    ahead = pixels[depth > 0.01]
+    if not len(ahead):
+        return None
+    limits = np.array([shape[1], shape[0]], dtype=np.float64)
+    low = np.clip(np.floor(ahead.min(axis=0) - margin - 4), 0, limits).astype(int)
+    high = np.clip(np.ceil(ahead.max(axis=0) + margin + 4), 0, limits).astype(int)
+    width, height = (int(value) for value in high - low)
+    return (int(low[0]), int(low[1]), width, height) if min(width, height) > 4 else None
+
+
+def _places(rest: Floats) -> tuple[Ints, Ints]:
+    """Returns part and patch of each vertex, `[V]` each: evenly spread over the body at rest."""
+    return _nearest(rest, PARTS), _nearest(rest, PATCHES)
+
+
+def _nearest(rest: Floats, count: int) -> Ints:
+    """Returns the nearest of `count` vertices that lie as far from each other as can be, for each vertex."""
+    chosen, away = [0], np.linalg.norm(rest - rest[0], axis=1)
+    while len(chosen) < min(count, len(rest)):
+        chosen.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(rest - rest[chosen[-1]], axis=1))
+    return np.asarray(cKDTree(rest[chosen]).query(rest)[1], dtype=np.int64)
+
+
+def _blocks(groups: Ints) -> Ints:
+    """Returns which tenth of the video each point is of."""
+    moments = np.unique(groups)
+    return np.searchsorted(moments, groups) * BLOCKS // max(len(moments), 1)
+
+
+class _Fit:
+    """The robust fit: a Gaussian posterior of the unknowns, and of what stands off."""
+
+    def __init__(self, data: _Offsets, places: tuple[Ints, Ints]) -> None:
+        part, patch = (place[data.vertices] for place in places)
+        parts, patches = int(places[0].max()) + 1, int(places[1].max()) + 1
+        rows, per_metre = np.arange(len(data)), data.pixels_per_metre
+        self.count = data.fields.shape[1]
+        self._terms = scipy.sparse.hstack(
+            [
+                scipy.sparse.csr_matrix(np.column_stack([data.fields, per_metre])),
+                scipy.sparse.csr_matrix((per_metre, (rows, part)), shape=(len(data), parts)),
+                scipy.sparse.csr_matrix((per_metre, (rows, patch)), shape=(len(data), patches)),
+            ]
+        ).tocsr()
+        self._offsets = data.offsets
+        self._prior = np.concatenate(
+            [
+                np.zeros(self.count),
+                [MEAN_STANDS_OFF**-2],
+                np.full(parts + patches, STANDS_OFF**-2),
+            ]
+        )
+        self._weights = self._robust_weights()
+        self._normal, self._right = self._equations(slice(None))
+
+    @cached_property
+    def unknowns(self) -> Floats:
+        """The most likely values, as many as there are fields."""
+        solved = np.linalg.solve(self._normal + np.diag(self._prior), self._right)
+        return np.asarray(solved[: self.count])
+
+    def errors(self, blocks: Ints, size: float) -> Floats:
+        """Returns the standard errors of shift and scale."""
+        systematic = np.array([SYSTEMATIC_SHIFT * size, SYSTEMATIC_SHIFT * size, SYSTEMATIC_SCALE])
+        return np.asarray(np.sqrt(self.left_out(blocks) + self.prior_variance() + systematic**2))
+
+    def prior_variance(self) -> Floats:
+        """Returns what noise of single pixels, and what may stand off, leave open of the unknowns."""
+        inverse = np.linalg.inv(self._normal + np.diag(self._prior))
+        return np.asarray(np.diag(inverse)[: self.count])
+
+    def left_out(self, blocks: Ints) -> Floats:
+        """Returns the variance of the unknowns by the jackknife over blocks."""
+        found = []
+        for block in np.unique(blocks):
+            normal, right = self._equations(np.flatnonzero(blocks == block))
+            solved = np.linalg.solve(self._normal - normal + np.diag(self._prior), self._right - right)
+            found.append(solved[: self.count])
+        each = np.array(found)
+        return np.asarray((len(each) - 1) * each.var(axis=0))
+
+    def _robust_weights(self) -> Floats:
+        residual = self._offsets - np.median(self._offsets)
+        weights = np.ones(len(residual))
+        for iteration in range(ITERATIONS):
+            noise = max(1.4826 * float(np.median(np.abs(residual))), LEAST_NOISE)
+            if iteration:
+                weights = np.clip(1.0 - (residual / (BIWEIGHT * noise)) ** 2, 0.0, None) ** 2
+            weights = weights / (CORRELATED * noise**2)
+            self._weights = weights
+            normal, right = self._equations(slice(None))
+            residual = self._offsets - self._terms @ np.linalg.solve(normal + np.diag(self._prior), right)
+        return weights
+
+    def _equations(self, rows: Ints | slice) -> tuple[Floats, Floats]:
+        terms, weights = self._terms[rows], self._weights[rows]
+        weighted = terms.multiply(weights[:, None]).tocsr()
+        return (terms.T @ weighted).toarray(), np.asarray(weighted.T @ self._offsets[rows])
+
+
+def _certain(total: Floats, error: Floats) -> Correction:
+    """Returns what is certain; and where something is, what is likely."""
+    certainty = np.abs(total) / error
+    if certainty.max() < CERTAIN:
+        return NONE
+    x, y, scale = np.where(certainty >= LIKELY, total, 0.0)
+    return Correction(
+        (round(float(x), SHIFT_DIGITS), round(float(y), SHIFT_DIGITS)), round(float(scale), SCALE_DIGITS)
+    )
