@@ -141,6 +141,8 @@ def inspect_bodies(look: Look) -> list[Finding]:
 
 def _given_joints(look: Look) -> list[Finding]:
     """Returns what the folder's own joints say of the body: a doubt, as another one may be given in training."""
+    if look.poser.stands_in:
+        return []
     try:
         doubts = look.scene.body_doubts(look.poser.pose)
     except DataError as error:

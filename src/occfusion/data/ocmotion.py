@@ -19,6 +19,7 @@ from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.ocmotion_chomp import MASKS, ChompScene
 from occfusion.data.ocmotion_protocol import PROTOCOLS, find_ocmotion_protocol
 from occfusion.data.ocmotion_w2a import W2aScene
+from occfusion.data.opening import noted
 from occfusion.data.posing import RestBody
 from occfusion.data.prepare import Selection
 from occfusion.data.scene import Scene
@@ -104,7 +105,7 @@ class OcMotionDataModule(HumanDataModule):
 
     def summary(self) -> dict[str, Any]:
         """Returns what was selected and found, and what the protocol's authors do otherwise than they say."""
-        protocol = {"name": self._protocol_name, "differs": self._protocol.differs}
+        protocol = {"name": self._protocol_name, "differs": list(self._protocol.differs)}
         return {**super().summary(), "protocol": protocol}
 
     def _protocol_in_words(self) -> str:
@@ -133,4 +134,4 @@ class OcMotionDataModule(HumanDataModule):
             )
         find_layout(folder, ("w2a",))
         label = self._person if self._numbered else None
-        return W2aScene(folder, self.poser.pelvis, self._masks or "masks", label)
+        return noted(W2aScene(folder, self.poser.pelvis, self._masks or "masks", label), folder, "w2a")

@@ -15,10 +15,7 @@ are cameras too, and those of one sequence belong together. `x = SMPL(pose, beta
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from pathlib import Path, PurePosixPath
-
-import numpy as np
 
 from occfusion.data import checks
 from occfusion.data.fixed_camera import FixedCamera
@@ -27,14 +24,18 @@ from occfusion.data.lens import OPENCV_CENTRE
 from occfusion.data.ocmotion_annot import Found, annotation_files, find_sequence, sequence_names
 from occfusion.data.ocmotion_joints import Posing, evenly, limb_distances, limb_doubt
 from occfusion.data.ocmotion_moments import (
+    SAME_PLACE,
     Moments,
     Person,
     Shot,
     camera_moves,
     count_people,
+    distance,
+    moments_in_words,
     pair,
     person_number,
     read_shots,
+    successor,
 )
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.errors import ConfigError, DataError
@@ -43,9 +44,6 @@ from occfusion.files.images import image_size
 __all__ = ["ChompScene", "sequence_names"]
 
 MASKS = "mask"
-
-SAME_PLACE = 0.3
-"""Metres from frame to frame, and from camera to camera, within which two people may be one."""
 
 _READ = ("pose", "betas", "trans", "intri", "extri", "lsp_joints_2d", "bbox")
 
@@ -182,7 +180,7 @@ class ChompScene(Scene):
                 f"person {person}; masks must show {person} alone. If their values are the people's ids, set "
                 f"dataset.numbered_masks=true dataset.person={person} (in check: --numbered-masks --person {person})."
             )
-        if (other := _successor([moment[0] for moment in moments.shots], person)) is not None:
+        if (other := successor([moment[0] for moment in moments.shots], person)) is not None:
             number, shot, gap = other
             yield (
                 f"{where}: person {number} begins in frame {shot.place}, {100 * gap:.0f} cm from where person {person} "
@@ -200,7 +198,7 @@ class ChompScene(Scene):
         """Returns the first camera whose annotation places the person elsewhere than the first camera's."""
         for camera in range(1, len(self.cameras)):
             for frame in evenly(range(self.num_frames)):
-                gap = _gap(self._row(frame, 0), self._row(frame, camera))
+                gap = distance(self._row(frame, 0), self._row(frame, camera))
                 if gap is not None and gap > SAME_PLACE:
                     return camera
         return None
@@ -223,7 +221,7 @@ class ChompScene(Scene):
         return Taken(
             layout="OcMotion as released with CHOMP (chomp), "
             + ("lists of frames, grouped by sequence" if found.is_flat else "sequences, cameras, frames"),
-            pictures=_left_out_in_words(moments, person, self.num_frames, place),
+            pictures=moments_in_words(moments, person, self.num_frames, place),
             body=f"{place}: SMPL(pose, betas) + trans of person {person} (key {key!r})"
             + (f", from the rows of {self.cameras[0]}" if len(self.cameras) > 1 else ""),
             shape=f"betas of {place}, "
@@ -262,47 +260,9 @@ def _mask_place(folder: Path, masks: str, first: PurePosixPath) -> tuple[Path, i
     return root, int(is_short)
 
 
-def _successor(shots: list[Shot], person: int) -> tuple[int, Shot, float] | None:
-    """Returns who appears where and when the wanted person ends: number, picture, distance in metres."""
-    for before, after in pairwise(shots):
-        if person not in before.people or person in after.people:
-            continue
-        for number in sorted(after.people.keys() - before.people.keys()):
-            gap = _gap(before.people[person], after.people[number])
-            if gap is not None and gap < SAME_PLACE:
-                return number, after, gap
-    return None
-
-
-def _gap(a: Person, b: Person) -> float | None:
-    """Returns the distance of two annotated people in metres, None where it cannot be told."""
-    try:
-        places = [checks.numbers(row["trans"], 3, "trans") for row in (a, b)]
-    except (KeyError, DataError):
-        return None
-    return float(np.linalg.norm(places[0] - places[1]))
-
-
 def _alone(name: str, camera: str) -> str:
     number = PurePosixPath(camera).name[-2:]
     return f"{name}_{number}" if number.isdecimal() else f"{name}_<camera>"
-
-
-def _left_out_in_words(moments: Moments, person: int, kept: int, place: str) -> str:
-    """Returns how many moments are used and why the others are not."""
-    total = len(moments.shots) + moments.lost
-    text = f"{kept} of the {total} moments of {place}, "
-    text += "paired by the numbers in their names" if moments.by_number else "by their place in the lists"
-    if moments.lost:
-        text += f"; {moments.lost} left out that not every camera has"
-    if absent := len(moments.shots) - kept:
-        lacking = [shots for shots in moments.shots if any(person not in shot.people for shot in shots)]
-        nobody = sum(not any(shot.people for shot in shots) for shots in lacking)
-        everywhere = " in every camera" if len(moments.shots[0]) > 1 else ""
-        text += (
-            f"; {absent} left out that do not show person {person}{everywhere} ({nobody} of them show nobody)"
-        )
-    return text
 
 
 def _others(found: Found, file: Path, row: Person, people: set[int]) -> Iterator[str]:

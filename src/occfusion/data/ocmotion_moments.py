@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from occfusion.data import checks
 from occfusion.data.annots import inside
 from occfusion.data.humannerf_layout import need
 from occfusion.data.listing import MAX_DIGITS
@@ -20,6 +22,9 @@ PATH, SIZE = "img_path", "h_w"
 
 SAME_VIEW = 1e-6
 """Extrinsics this near to each other are one camera, written in float32."""
+
+SAME_PLACE = 0.3
+"""Metres from frame to frame, and from camera to camera, within which two people may be one."""
 
 Person = Mapping[str, Any]
 
@@ -137,3 +142,41 @@ def camera_moves(views: Sequence[Any]) -> bool:
     """Returns whether extrinsics, checked before, `[3, 4]` or `[4, 4]`, are not the same in all frames."""
     numbers = np.stack([np.asarray(view, dtype=np.float64).reshape(-1)[:12] for view in views])
     return bool(np.ptp(numbers, axis=0).max() > SAME_VIEW)
+
+
+def distance(a: Person, b: Person) -> float | None:
+    """Returns the distance of two annotated people in metres, None where it cannot be told."""
+    try:
+        places = [checks.numbers(row["trans"], 3, "trans") for row in (a, b)]
+    except (KeyError, DataError):
+        return None
+    return float(np.linalg.norm(places[0] - places[1]))
+
+
+def successor(shots: list[Shot], person: int) -> tuple[int, Shot, float] | None:
+    """Returns who appears where and when the wanted person ends: number, picture, distance in metres."""
+    for before, after in pairwise(shots):
+        if person not in before.people or person in after.people:
+            continue
+        for number in sorted(after.people.keys() - before.people.keys()):
+            gap = distance(before.people[person], after.people[number])
+            if gap is not None and gap < SAME_PLACE:
+                return number, after, gap
+    return None
+
+
+def moments_in_words(moments: Moments, person: int, kept: int, place: str) -> str:
+    """Returns how many moments are used and why the others are not."""
+    total = len(moments.shots) + moments.lost
+    text = f"{kept} of the {total} moments of {place}, "
+    text += "paired by the numbers in their names" if moments.by_number else "by their place in the lists"
+    if moments.lost:
+        text += f"; {moments.lost} left out that not every camera has"
+    if absent := len(moments.shots) - kept:
+        lacking = [shots for shots in moments.shots if any(person not in shot.people for shot in shots)]
+        nobody = sum(not any(shot.people for shot in shots) for shots in lacking)
+        everywhere = " in every camera" if len(moments.shots[0]) > 1 else ""
+        text += (
+            f"; {absent} left out that do not show person {person}{everywhere} ({nobody} of them show nobody)"
+        )
+    return text

@@ -111,7 +111,11 @@ class W2aScene(Scene):
             + ", the root's rotation in poses[:3]",
             shape=f"betas of {METADATA}, {_shapes_in_words(chosen)}",
             masks=f"{masks}/, "
-            + ("every value but 0 (soft edges: from 128 on)" if person is None else f"value {person}"),
+            + (
+                "every value but 0 (of a JPEG with soft edges: from 128 on)"
+                if person is None
+                else f"value {person}"
+            ),
             cameras=f"{METADATA}: cam_intrinsics and cam_extrinsics; the camera "
             + ("moves, which is carried over to the person" if camera_moves(views) else "stands still"),
             centres="0 (OpenCV)",
@@ -130,7 +134,8 @@ class W2aScene(Scene):
     def files(self, frame: int, camera: int) -> PictureFiles:
         """Returns the paths of one picture and its mask."""
         name, mask = self._names[frame], self._masks[frame]
-        return PictureFiles(name, self._pictures[frame], (mask,), None, None, True, self._person)
+        picture = self._pictures[frame]
+        return PictureFiles(name, picture, (mask,), None, None, True, self._person, any_value=True)
 
     def evidence(self, frame: int) -> tuple[Path, ...]:
         """Returns the table."""
@@ -239,8 +244,6 @@ def _others(folder: Path, masks: str) -> str:
     except OSError:
         return ""
     known = [f"{name} ({NOT_READ[name]})" for name in names if name in NOT_READ]
-    if {"cameras.pkl", MESHES} <= set(names):
-        known.append("HumanNeRF's form of it all is read by dataset=zju dataset.layout=humannerf")
     strange = [name for name in names if name not in NOT_READ]
     if strange:
         known.append("not looked at: " + ", ".join(strange[:12]) + (" …" if len(strange) > 12 else ""))
