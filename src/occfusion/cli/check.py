@@ -10,19 +10,30 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from occfusion.data.findings import Finding, worst
-from occfusion.data.fit import inspect_fit, inspect_other_cameras
+from occfusion.data.findings import Finding, guarded, worst
+from occfusion.data.fit import inspect_fit, inspect_other_cameras, inspect_registration
 from occfusion.data.inspection import Look, inspect_bodies, inspect_cameras, inspect_files, inspect_masks
 from occfusion.data.layouts import AUTO, LAYOUTS, sequences_in
 from occfusion.data.opening import open_folder
 from occfusion.data.overlay import draw_overlay
 from occfusion.data.posing import Poser
+from occfusion.data.scene import Scene
+from occfusion.data.stored_vertices import compare_with_stored
+from occfusion.data.zju_layout import ZjuScene
 from occfusion.errors import ConfigError, OccfusionError
 from occfusion.files.atomic import write_png
 from occfusion.human import embedded_body, load_body
 
 COLOURS = {"ok": "green", "note": "cyan", "doubt": "yellow", "error": "red"}
-PARTS = (inspect_files, inspect_cameras, inspect_bodies, inspect_masks, inspect_fit, inspect_other_cameras)
+PARTS = (
+    inspect_files,
+    inspect_cameras,
+    inspect_bodies,
+    inspect_masks,
+    inspect_fit,
+    inspect_registration,
+    inspect_other_cameras,
+)
 EXIT_DOUBT = 2
 
 
@@ -112,6 +123,7 @@ def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding]
         return [*findings, Finding("error", "folder", str(error))], None
     text = f"{layout}: {scene.num_frames} frames, {len(scene.cameras)} cameras"
     findings.append(Finding("ok", "layout", text))
+    findings += guarded("body file", lambda: _against_vertices(scene, poser))
     findings += [Finding("note", "taken", line) for line in scene.taken.lines()]
     findings += [Finding("doubt", "layout", remark) for remark in scene.remarks]
     if not 0 <= arguments.camera < len(scene.cameras):
@@ -132,6 +144,13 @@ def _poser(folder: Path, path: Path | None) -> tuple[Poser, Finding]:
             "name the one that the parameters were fitted with: --body SMPL_NEUTRAL.pkl",
         )  # fmt: skip
     return Poser(load_body(path or own)), Finding("ok", "body file", str(path or own))
+
+
+def _against_vertices(scene: Scene, poser: Poser) -> list[Finding]:
+    """Notes in what was taken how the body fits the vertices beside the parameters, where there are any."""
+    if isinstance(scene, ZjuScene) and not poser.stands_in:
+        compare_with_stored(scene, poser.body)
+    return []
 
 
 def _by_gravity(findings: Sequence[Finding]) -> list[Finding]:

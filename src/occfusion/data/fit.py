@@ -10,10 +10,15 @@ from numpy.typing import NDArray
 from occfusion.data import checks, overlap, survey
 from occfusion.data.findings import Finding, guarded, listed
 from occfusion.data.inspection import Look, posed_bodies
+from occfusion.data.lens import Lens
 from occfusion.data.mistakes import explain
+from occfusion.data.registration import View, register
 from occfusion.data.scene import Array, Calibration
 from occfusion.data.validation import DOUBTFUL_OVERLAP, JOINTS_INSIDE, MISSED
 from occfusion.errors import DataError
+
+REGISTERED, REGISTERED_SIZE = 40, 512
+"""Frames, and the longer side of their masks, by which a shift of the pictures is measured."""
 
 
 def inspect_fit(look: Look) -> list[Finding]:
@@ -86,6 +91,43 @@ def _occlusion(look: Look, bodies: dict[int, Array], seen: dict[int, Calibration
     each = listed((f"{frame}: {share:.0%}" for frame, share in hidden.items()), 12)
     level = "note" if max(hidden.values()) > 0 else "ok"
     return Finding(level, "occlusion", f"hidden share by frame ({how}): {each}")
+
+
+def inspect_registration(look: Look) -> list[Finding]:
+    """Returns whether pictures of the training camera are shifted or scaled as a whole against the projected body."""
+    return guarded("registration", lambda: _registration(look))
+
+
+def _registration(look: Look) -> Iterator[Finding]:
+    faces = getattr(look.poser.body, "faces", None)
+    if look.camera not in look.sound or not look.bodies or faces is None or look.poser.stands_in:
+        yield Finding(
+            "note", "registration", "not measured: it needs a sound camera, parameters and their body file"
+        )
+        return
+    frames = sorted(frame for frame in look.bodies if look.scene.shows(frame, look.camera))
+    chosen = np.unique(np.linspace(0, len(frames) - 1, REGISTERED).round().astype(int)) if frames else []
+    views = []
+    for frame in (frames[k] for k in chosen):
+        person = look.people.get(frame) or survey.look_at_person(look.scene, frame, look.camera)
+        lens = Lens.fitted(look.view(frame), (person.whole.width, person.whole.height), REGISTERED_SIZE)
+        vertices = look.poser.pose(look.bodies[frame])[0]
+        views.append(View(frame, vertices, lens.camera(), lens.mask(person.seen.full())))
+    rest = look.poser.rest_vertices(next(iter(look.bodies.values())).betas)
+    found = register(views, faces.cpu().numpy(), rest)
+    if found is None:
+        yield Finding("note", "registration", "outlines of body and masks tell too little of a shift")
+        return
+    size = max(views[0].camera.width, views[0].camera.height)
+    text = f"{found.text()}, at {size} px"
+    if found.correction.is_none:
+        yield Finding("ok", "registration", f"{text}: nothing is certainly off")
+        return
+    yield Finding(
+        "doubt", "registration", f"{text}: certainly off",
+        "training corrects the cameras (registration=off: it does not); look for a crop, a resampling or principal "
+        "points that count pixels from another corner",
+    )  # fmt: skip
 
 
 def inspect_other_cameras(look: Look) -> list[Finding]:

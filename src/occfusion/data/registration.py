@@ -56,7 +56,7 @@ BLOCKS, LEAST_BLOCKS = 10, 5
 LEAST_POINTS = 1000
 """Fewer points of the outline tell too little."""
 MOST_FRAMES = 100
-CERTAIN, LIKELY = 4.0, 2.0
+CERTAIN, LIKELY = 5.0, 2.0
 """Errors from which on something is off for certain; and from which on, where something is, a part of it is taken."""
 SHIFT_DIGITS, SCALE_DIGITS = 3, 5
 """A correction is rounded, so that another machine's last digits make no other run of it."""
