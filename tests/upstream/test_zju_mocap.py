@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from data.layout_writers import Source, save_object
+from occfusion.__main__ import main
 from occfusion.data import ZjuDataModule
 from occfusion.data.zju_layout import ZjuScene
 from occfusion.errors import ConfigError, DataError
@@ -112,7 +113,10 @@ def test_the_older_fit_on_request_and_by_its_rule(source, smpl, body, tmp_path):
 
 def test_the_newer_fit_with_a_body_told_to_leave_its_blend_shapes_out(source, smpl, body, tmp_path):
     folder = upstream.write_original(source, tmp_path, smpl)
-    with pytest.raises(DataError, match=r"new_vertices: the body file gives other vertices.* mm are allowed"):
+    refusal = (
+        r"new_vertices: the body file gives other vertices.* mm are allowed.*body.pose_blend_shapes=true"
+    )
+    with pytest.raises(DataError, match=refusal):
         module(folder, without_pose_blend_shapes(body)).setup()
     shutil.rmtree(folder / "new_vertices")
     data = module(folder, without_pose_blend_shapes(body))
@@ -279,6 +283,25 @@ def test_cameras_without_pictures_are_named(source, smpl, body, tmp_path):
     assert "there are no pictures of 1: Camera_B2" in data.taken.cameras
     with pytest.raises(DataError, match=r"Camera_B2.000000\.jpg: file not found"):
         module(folder, body).validate()
+
+
+def test_check_says_the_same(source, smpl, body, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = upstream.write_original(source, tmp_path, smpl)
+    assert main(["check", str(folder), "--body", str(smpl.path)]) == 0
+    assert "gives the vertices of new_vertices/ with pose blend" in " ".join(words(capsys))
+    values = dict(smpl.values, shapedirs=np.zeros_like(smpl.values["shapedirs"]))
+    np.savez(tmp_path / "other.npz", **values)
+    assert main(["check", str(folder), "--body", str(tmp_path / "other.npz")]) == 1
+    assert "the body file gives other vertices" in " ".join(words(capsys))
+    assert main(["check", str(folder)]) == 0  # the embedded body stands in, and nobody takes it for SMPL
+    assert "other vertices" not in " ".join(words(capsys))
+
+
+def words(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """The third column of a table that wraps its cells."""
+    rows = [line.split("│") for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
+    return " ".join(row[3] for row in rows).split()
 
 
 def test_embedded_scenes_are_said_to_be_such(source):

@@ -55,6 +55,11 @@ class Poser:
         self.num_betas: int = getattr(body, "num_betas", USUAL_BETAS)
         self.stands_in = stands_in
 
+    @property
+    def body(self) -> RestBody:
+        """The body itself."""
+        return self._body
+
     def pelvis(self, betas: Array) -> Array:
         """Returns the pelvis at rest for shape coefficients `[B]`, `[3]`, metres."""
         return self._at_rest(betas)[1][0]

@@ -84,11 +84,13 @@ def compare_with_stored(scene: ZjuScene, body: RestBody) -> ZjuScene:
     best = min(found, key=lambda rule: found[rule].largest)
     if found[best].largest > LIMIT:
         measured = "; ".join(f"{rule} {distance}" for rule, distance in found.items())
+        lacks = used == WITHOUT and scene.fit.blended
+        hint = f" This fit was made {WITH}: {_SETTING[WITH]}, and a file that has them." if lacks else ""
         raise DataError(
             f"{scene.root / scene.fit.vertices}: the body file gives other vertices from {scene.fit_name}/ than are "
             f"kept here, in {len(kept)} moments: {measured}; {_MM * LIMIT:g} mm are allowed. Use the body that "
             "they were made with (body.path; for ZJU-MoCap SMPL's neutral one), or move this folder away if the "
-            "parameters were changed on purpose."
+            f"parameters were changed on purpose.{hint}"
         )
     rule = f" {best}" if len(found) > 1 else ""
     _note(scene, f"gives the vertices of {folder}{rule}, off by {found[best]}")

@@ -78,7 +78,7 @@ class ZjuDataModule(HumanDataModule):
         hidden = place_strip(preset, folder.name, asked_occlusion, own_frames=train_frames is not None)
         size = preset.image_size if image_size is None else image_size
         super().__init__(body, select(preset, folder.name, asked), size, hidden, seed, cache_megabytes)
-        self._body, self._fit = body, fit
+        self._fit = fit
         self._folder = folder
         self._masks = masks or ("masks" if alone else preset.masks)
 
@@ -89,4 +89,4 @@ class ZjuDataModule(HumanDataModule):
             return noted(HumanNerfScene(self._folder, self.poser, self._masks), self._folder, layout)
         refined = layout == "refined"
         reader = ZjuScene(self._folder, self.poser.pelvis, self._masks, refined=refined, fit=self._fit)
-        return noted(compare_with_stored(reader, self._body), self._folder, layout)
+        return noted(compare_with_stored(reader, self.poser.body), self._folder, layout)
