@@ -12,6 +12,8 @@ import pytest
 
 from data.layout_writers import Source, save_object
 from occfusion.__main__ import main
+from occfusion.compose import make_body
+from occfusion.config import BodySettings
 from occfusion.data import ZjuDataModule
 from occfusion.data.zju_layout import ZjuScene
 from occfusion.errors import ConfigError, DataError
@@ -109,6 +111,14 @@ def test_the_older_fit_on_request_and_by_its_rule(source, smpl, body, tmp_path):
     (remark,) = [finding for finding in wrong.findings if "pose blend shapes" in finding]
     assert f"off by {off:.3g} mm at most" in remark and "body.pose_blend_shapes=false" in remark and off > 1
     assert f"off by {off:.3g} mm at most" in wrong.taken.body
+
+
+def test_the_setting_leaves_the_blend_shapes_out(smpl, body):
+    """In the run and wherever its body is made again; the arrays of the file stay as they are."""
+    plain = make_body(BodySettings("smpl", str(smpl.path), pose_blend_shapes=False))
+    assert plain.posedirs is None and plain.digest() != body.digest()
+    assert plain.digest() == without_pose_blend_shapes(body).digest() and body.posedirs is not None
+    assert make_body(BodySettings("smpl", str(smpl.path))).digest() == body.digest()
 
 
 def test_the_newer_fit_with_a_body_told_to_leave_its_blend_shapes_out(source, smpl, body, tmp_path):
