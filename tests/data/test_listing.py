@@ -9,7 +9,7 @@ import pytest
 
 from occfusion.data import OcMotionDataModule, VideoDataModule
 from occfusion.data.fixed_camera import FixedCamera
-from occfusion.data.listing import natural, partners, pictures_in, require_same
+from occfusion.data.listing import like, natural, partners, pictures_in, pngs_in, require_same, strays
 from occfusion.data.ocmotion import PAPER_SEQUENCES
 from occfusion.data.scene import BodyParameters
 from occfusion.errors import ConfigError, DataError
@@ -30,7 +30,22 @@ def test_pictures_of_a_folder(tmp_path):
     for name in ("b_10.png", "b_9.JPG", "notes.txt", "b_11.jpeg"):
         (tmp_path / name).touch()
     assert list(pictures_in(tmp_path)) == ["b_9", "b_10", "b_11"]
+    for name in (".b_12.png", "._b_9.JPG"):
+        (tmp_path / name).touch()
+    assert list(pictures_in(tmp_path)) == ["b_9", "b_10", "b_11"] and list(pngs_in(tmp_path)) == ["b_10"]
+    assert strays(tmp_path, pngs_in(tmp_path).values()) == [
+        "._b_9.JPG",
+        ".b_12.png",
+        "b_9.JPG",
+        "b_11.jpeg",
+        "notes.txt",
+    ]
+    assert like(["b_9", "c_1", "b_1x"], ["b_0010"]) == ["b_9"]
+    (tmp_path / "b_10.png").rename(tmp_path / "b_10.jpg")
+    assert list(pngs_in(tmp_path)) == ["b_9", "b_10", "b_11"]
     (tmp_path / "b_9.png").touch()
+    assert pictures_in(tmp_path, prefer=".png")["b_9"].name == "b_9.png"
+    assert pictures_in(tmp_path, prefer=".jpg")["b_9"].name == "b_9.JPG"
     with pytest.raises(DataError, match=r"b_9\..*there is also b_9"):
         pictures_in(tmp_path)
     with pytest.raises(DataError, match="holds no pictures"):
@@ -45,6 +60,7 @@ def test_partners_by_name_and_by_number():
     assert found == (Path("mask_1.png"), Path("mask_2.png"))
     with pytest.raises(DataError, match="nothing for the picture 'x_3'"):
         partners(["x_3"], paths("m_4"), Path("m"))
+    assert partners(["x_3"], paths("m_3", "m_4"), Path("m"), more=True) == (Path("m_3.png"),)
     with pytest.raises(DataError, match="'m_4' belongs to no picture"):
         partners(["x_3"], paths("m_3", "m_4"), Path("m"))
 
@@ -81,6 +97,13 @@ def test_a_camera_that_stands_still_leaves_the_body_alone():
 def test_cameras_that_cannot_stand_still_are_refused():
     with pytest.raises(DataError, match="frame 1: the intrinsics differ"):
         camera([shifted(0)] * 2, [K, K * [[1.1], [1.1], [1]]])
+    zoomed = FixedCamera(
+        "c", [K, K * [[1.1], [1.1], [1]]], [shifted(0)] * 2, None, ["a", "b"], 0.5, may_zoom=True
+    )
+    assert zoomed.zooms and zoomed.at(0).K[0, 0] == 100 and np.isclose(zoomed.at(1).K[0, 0], 110)
+    assert (
+        np.isclose(zoomed.at(1).K[0, 2], 35.7) and not zoomed.moves and camera([shifted(0), shifted(1)]).moves
+    )
     with pytest.raises(DataError, match=r"frame 0, extrinsics has the last row .* transposed"):
         camera([shifted(1).T])
     with pytest.raises(DataError, match=r"looks like millimetres"):

@@ -18,7 +18,7 @@ from occfusion.data import checks
 from occfusion.data.fixed_camera import FixedCamera
 from occfusion.data.layouts import HELD_OUT, held_out_of
 from occfusion.data.lens import OPENCV_CENTRE
-from occfusion.data.listing import natural, pictures_in
+from occfusion.data.listing import natural, pngs_in
 from occfusion.data.scene import Calibration, PictureFiles
 from occfusion.data.tables import entry, load_table, need
 from occfusion.errors import DataError
@@ -75,8 +75,8 @@ class HeldOut:
         self.cameras = tuple(f"camera_{camera:02d}" for camera in found)
         self.calibrations = [self._camera(rows, camera) for camera in found]
         self._require_same_bodies(frames, meshes)
-        self._images = pictures_in(folder / "images", prefer=".png")
-        self._masks = pictures_in(folder / "masks", prefer=".png")
+        self._images = pngs_in(folder / "images")
+        self._masks = pngs_in(folder / "masks")
 
     @classmethod
     def beside(

@@ -29,14 +29,12 @@ from occfusion.data.fixed_camera import FixedCamera
 from occfusion.data.held_out import HeldOut, refuse_held_out_alone
 from occfusion.data.layouts import HELD_OUT
 from occfusion.data.lens import OPENCV_CENTRE
-from occfusion.data.listing import like, natural, partners, pictures_in, require_same, strays
+from occfusion.data.listing import like, natural, partners, pngs_in, require_same, strays
 from occfusion.data.posing import AtRest
 from occfusion.data.rest_joints import require_joints, shape_from_joints
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
-from occfusion.data.tables import entry, load_table, need, table
+from occfusion.data.tables import entry, load_table, need
 from occfusion.errors import DataError
-
-__all__ = ["HumanNerfScene", "entry", "need", "table"]
 
 CAMERAS, MESHES, JOINTS = "cameras.pkl", "mesh_infos.pkl", "canonical_joints.pkl"
 
@@ -62,20 +60,18 @@ class HumanNerfScene(Scene):
         cameras, self._meshes = load_table(self._cameras_file), load_table(self._meshes_file)
         refuse_held_out_alone(folder, cameras)
         require_same(cameras, str(self._cameras_file), self._meshes, str(self._meshes_file))
-        images = pictures_in(folder / "images", prefer=".png")
+        images = pngs_in(folder / "images")
         self._names = sorted(set(images) & set(cameras), key=natural)
-        unknown = set(like(images, cameras)) - set(cameras)
-        kinds = {images[name].suffix.lower() for name in self._names}
-        unknown = {name for name in unknown if images[name].suffix.lower() in kinds}
-        require_same(self._names, str(self._cameras_file), {*self._names, *unknown}, str(folder / "images"))
         if not self._names:
             raise DataError(
                 f"{folder / 'images'}: none of its {len(images)} pictures, the first {next(iter(images))!r}, is named "
                 f"in {CAMERAS}, which has {len(cameras)} frames, the first {next(iter(cameras))!r}. They are of "
                 "different sequences, or one of them was renamed."
             )
+        unknown = set(like(images, cameras)) - set(cameras)
+        require_same(self._names, str(self._cameras_file), {*self._names, *unknown}, str(folder / "images"))
         self._pictures = [images[name] for name in self._names]
-        found = pictures_in(folder / masks, prefer=".png")
+        found = pngs_in(folder / masks)
         self._masks = partners(self._names, found, folder / masks, more=True)
         self.num_frames = len(self._names)
         self._camera = self._read_camera([entry(cameras, name, self._cameras_file) for name in self._names])
@@ -167,8 +163,8 @@ class HumanNerfScene(Scene):
         if rest is not None and not rest[0].any():
             form = "turned about the pelvis, as in other footage"
         counts = [f"images/, {self.num_frames} of {pictures}"]
-        counts += [f"{pictures - self.num_frames} have no row in {CAMERAS}"] * (pictures > self.num_frames)
-        counts += [f"{rows - self.num_frames} rows of {CAMERAS} have no picture"] * (rows > self.num_frames)
+        counts += [f"{pictures - self.num_frames} without a row in {CAMERAS}"] * (pictures > self.num_frames)
+        counts += [f"{rows - self.num_frames} rows of {CAMERAS} without a picture"] * (rows > self.num_frames)
         counts += [self._held_out.summary()] if self._held_out else []
         shape = "betas of mesh_infos.pkl" if "betas" in row else f"avg_betas of {JOINTS}"
         if "betas" not in row and rest is not None:
@@ -188,14 +184,15 @@ class HumanNerfScene(Scene):
 
     def _others(self, masks: str) -> str:
         """Returns what lies in the folder and is not read."""
+        eval_folder = self.root.with_name(f"{self.name}{HELD_OUT}")
         read = {self._cameras_file, self._meshes_file, self.root / "images", self.root / masks}
-        found = strays(self.root, read)
+        groups = [strays(self.root, read)]
         for folder, taken in (("images", self._pictures), (masks, self._masks)):
-            found += [f"{folder}/{name}" for name in strays(self.root / folder, taken)]
-        if self._held_out is None and self.root.with_name(f"{self.name}{HELD_OUT}").is_dir():
-            found.append(f"../{self.name}{HELD_OUT}")
-        more = f" and {len(found) - 8} more" if len(found) > 8 else ""
-        return f"not read: {', '.join(found[:8])}{more}" if found else ""
+            groups.append([f"{folder}/{name}" for name in strays(self.root / folder, taken)])
+        if self._held_out is None and eval_folder.is_dir():
+            groups.append([f"../{eval_folder.name}"])
+        listed = [f"{', '.join(group[:8])}{' ...' if len(group) > 8 else ''}" for group in groups if group]
+        return f"not read: {', '.join(listed)}" if listed else ""
 
 
 def _rest_joints(row: Mapping[str, Any], where: str) -> Array | None:

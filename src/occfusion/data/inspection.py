@@ -174,7 +174,11 @@ def _bodies(look: Look) -> Iterator[Finding]:
 def _jumps(look: Look, before: int, after: int) -> bool:
     a, b = look.bodies[before], look.bodies[after]
     turn = checks.turn_between(a.global_orient, b.global_orient)
-    return bool(np.linalg.norm(b.transl - a.transl) > JUMP or turn > SHARP_TURN)
+    step = b.transl - a.transl
+    if look.scene.zooms:  # focal length and distance trade for each other: nearer or farther is no motion
+        ray = a.transl - look.scene.calibration(look.camera).centre
+        step = step - ray * (step @ ray) / max(float(ray @ ray), JUMP)
+    return bool(np.linalg.norm(step) > JUMP or turn > SHARP_TURN)
 
 
 def inspect_masks(look: Look) -> list[Finding]:

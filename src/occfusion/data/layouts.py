@@ -113,12 +113,8 @@ def find_layout(folder: Path, among: tuple[str, ...] | None = None, asked: str =
             f"{folder}: is of the layout {found!r}, which dataset={DATASETS[found]} reads; this data set reads "
             f"{', '.join(names)}.{_also(folder, [name for name in fitting if name in names])}"
         )
-    lacking = names[found].lacks(folder)
-    if lacking:
-        raise DataError(
-            f"{folder / lacking[0]}: {'folder' if lacking[0].endswith('/') else 'file'} not found. The layout "
-            f"{found!r} needs {names[found].needs}; {_there(folder)}."
-        )
+    if lacking := names[found].lacks(folder):
+        raise DataError(_unlike(folder, names[found], lacking, list(names.values())))
     return found
 
 
@@ -172,6 +168,17 @@ def _from_ocmotion(folder: Path) -> bool:
 def _also(folder: Path, readable: list[str]) -> str:
     name = readable[0] if readable else None
     return "" if name is None else f" It has the layout {name!r} too: dataset.layout={name} reads that."
+
+
+def _unlike(folder: Path, layout: Layout, lacking: list[str], candidates: list[Layout]) -> str:
+    """Returns what a folder of a layout lacks, and which other layouts it comes as near to."""
+    kind = "folder" if lacking[0].endswith("/") else "file"
+    as_near = [one for one in candidates if one is not layout and one.share(folder) >= layout.share(folder)]
+    others = [f" For {one.name!r} it lacks {', '.join(one.lacks(folder)) or 'nothing'}." for one in as_near]
+    return (
+        f"{folder / lacking[0]}: {kind} not found. The layout {layout.name!r} needs {layout.needs}; "
+        f"{_there(folder)}.{''.join(others)}"
+    )
 
 
 def _nearest(folder: Path, candidates: list[Layout]) -> str:

@@ -52,6 +52,17 @@ def pictures_in(
     return by_name
 
 
+def pngs_in(folder: Path) -> dict[str, Path]:
+    """Returns the PNG files of a folder as `pictures_in` does, or where it has none the pictures of other kinds.
+
+    For forms whose own program reads PNG files alone: what lies beside them are copies and previews.
+    """
+    try:
+        return pictures_in(folder, (".png",))
+    except DataError:
+        return pictures_in(folder)
+
+
 def strays(folder: Path, taken: Iterable[Path]) -> list[str]:
     """Returns the names of what lies in a folder and was not taken, in natural order."""
     return sorted((path.name for path in set(folder.iterdir()) - set(taken)), key=natural)

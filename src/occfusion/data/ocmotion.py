@@ -129,9 +129,9 @@ class OcMotionDataModule(HumanDataModule):
         folder = cut if not folder.is_dir() and cut.is_dir() else folder
         if not folder.is_dir():
             raise DataError(
-                f"{folder}: no such folder, nor {cut.name}. The paper's sequences are {', '.join(PAPER_SEQUENCES)}, "
-                "each in a folder of its own or with _w2a at its end."
+                f"{folder}: no such folder, nor {cut.name}, nor annot/ of the raw release. The paper's sequences are "
+                f"{', '.join(PAPER_SEQUENCES)}, each in a folder of its own or with _w2a at its end."
             )
-        find_layout(folder, ("w2a",))
+        find_layout(folder, ("w2a",), layout)
         label = self._person if self._numbered else None
         return noted(W2aScene(folder, self.poser.pelvis, self._masks or "masks", label), folder, "w2a")

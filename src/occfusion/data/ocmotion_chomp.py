@@ -19,7 +19,6 @@ from pathlib import Path, PurePosixPath
 
 from occfusion.data import checks
 from occfusion.data.fixed_camera import FixedCamera
-from occfusion.data.humannerf_layout import need
 from occfusion.data.lens import OPENCV_CENTRE
 from occfusion.data.ocmotion_annot import Found, annotation_files, find_sequence, sequence_names
 from occfusion.data.ocmotion_joints import Posing, evenly, limb_distances, limb_doubt
@@ -38,6 +37,7 @@ from occfusion.data.ocmotion_moments import (
     successor,
 )
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
+from occfusion.data.tables import need
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.images import image_size
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from occfusion.data import checks
 from occfusion.data.annots import inside
-from occfusion.data.humannerf_layout import need
 from occfusion.data.listing import MAX_DIGITS
+from occfusion.data.tables import need
 from occfusion.errors import DataError
 
 PATH, SIZE = "img_path", "h_w"

@@ -26,12 +26,12 @@ import numpy as np
 
 from occfusion.data import checks
 from occfusion.data.fixed_camera import FixedCamera
-from occfusion.data.humannerf_layout import entry, need, table
 from occfusion.data.lens import OPENCV_CENTRE
 from occfusion.data.listing import SUFFIXES, natural, partners, pictures_in, require_same
 from occfusion.data.ocmotion_joints import Posing, evenly, require_rest_joints
 from occfusion.data.ocmotion_moments import camera_moves
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
+from occfusion.data.tables import entry, need, table
 from occfusion.errors import DataError
 from occfusion.files.jsonfile import load_json
 from occfusion.files.unpickle import load_pickle

@@ -48,7 +48,7 @@ def open_folder(
 def noted(scene: Scene, folder: Path, layout: str) -> Scene:
     """Returns the reader, having noted in what it took that the folder has other layouts too."""
     others = other_layouts(folder, layout)
-    if others and hasattr(scene, "taken"):
+    if others:
         text = "; ".join(part for part in (others, scene.taken.others) if part)
         scene.taken = replace(scene.taken, others=text)
     return scene

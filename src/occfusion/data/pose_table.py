@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from occfusion.data import checks
-from occfusion.data.humannerf_layout import need
 from occfusion.data.scene import Array
+from occfusion.data.tables import need
 from occfusion.errors import DataError
 from occfusion.files.arrays import load_npz
 from occfusion.files.unpickle import load_pickle

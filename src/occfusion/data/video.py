@@ -10,6 +10,7 @@ from typing import Any
 from occfusion.data.layouts import find_layout
 from occfusion.data.module import HumanDataModule
 from occfusion.data.occlusion import OcclusionSettings
+from occfusion.data.opening import noted
 from occfusion.data.posing import RestBody
 from occfusion.data.prepare import Selection
 from occfusion.data.scene import Scene
@@ -42,6 +43,7 @@ class VideoDataModule(HumanDataModule):
         track_frames: Sequence[Any] | None = None,
         betas: BetasSetting = None,
         pixel_centres: str | float = AUTO,
+        layout: str = AUTO,
         seed: int = 0,
         cache_megabytes: float = 200.0,
     ) -> None:
@@ -67,6 +69,7 @@ class VideoDataModule(HumanDataModule):
                 pose file; found out when None.
             betas: shape coefficients: None for the pose file's, how many of them, `zeros`, numbers, or a file.
             pixel_centres: where the middle of the first pixel is for the stored principal points: 0, 0.5 or `auto`.
+            layout: `video`, for a folder that has another layout too, or `auto` to look.
             seed: of the order of training frames.
             cache_megabytes: how much memory decoded training frames may take.
 
@@ -84,12 +87,12 @@ class VideoDataModule(HumanDataModule):
         super().__init__(body, selection, image_size, occlusion, seed, cache_megabytes)
         self._masks, self._person, self._is_occluded = masks, person, occluded
         self._poses, self._track_frames, self._betas = poses, track_frames, betas
-        self._pixel_centres = pixel_centres
+        self._pixel_centres, self._layout = pixel_centres, layout
 
     def open_scene(self) -> Scene:
         """Returns the reader of the folder; a protocol's pictures become frames of the scene."""
         if self._poses is None or not (self._folder / CAMERAS).is_file():
-            find_layout(self._folder, ("video",))
+            find_layout(self._folder, ("video",), self._layout)
         scene = VideoScene(
             self._folder,
             self.poser.pelvis,
@@ -108,6 +111,7 @@ class VideoDataModule(HumanDataModule):
                 train_frames=asked.train_frames or _frames(scene, self._ranges.train, "train_frames"),
                 test_frames=asked.test_frames or _frames(scene, self._ranges.test, "test_frames"),
             )
+        noted(scene, self._folder, "video")
         return scene
 
 

@@ -19,11 +19,11 @@ import numpy as np
 
 from occfusion.data import checks
 from occfusion.data.fixed_camera import FixedCamera
-from occfusion.data.humannerf_layout import need
 from occfusion.data.listing import MASK_SUFFIXES, pictures_in
 from occfusion.data.pose_table import WIDTHS
 from occfusion.data.pose_tracks import Track, open_tracks
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene
+from occfusion.data.tables import need
 from occfusion.data.video_account import account, remarks
 from occfusion.data.video_form import AUTO, CENTRES, find_form, instantavatar_marks
 from occfusion.data.video_pictures import pair
