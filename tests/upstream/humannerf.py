@@ -12,8 +12,9 @@ Read in chungyiweng/humannerf @ 7389c4049c0d5b14afdbac41a605ddad9d51dd4a:
 - `core/data/human_nerf/train.py`: the `.png` files in `images/` say which frames there are; tables may have more.
 - `core/utils/camera_util.py`: the body stands at `E [R(Rh) | Th]`; rays go through whole-number pixels.
 - `third_parties/smpl/smpl_numpy.py`: rotations are float32, all else is as in the body file (float64).
-- `README.md`: the sample's person stands at z = 47.504 with a focal length of 23043.9; in issue 1 the authors give the
-  rule: focal length 5000 for a crop of 224 pixels, so that K changes with the person's box in every frame.
+- `README.md`: the sample's person stands at z = 47.504 with a focal length of 23043.9; in thread 1 of
+  the tracker the authors give the rule: focal length 5000 for a crop of 224 pixels, so that K changes with the
+  person's box in every frame.
 
 Read in tiangexiang/OccNeRF @ 1cb1ef3af0e6a02a1e3510237deca56c693e5da3: `tools/prepare_zju_mocap/prepare_dataset.py`
 (adds `betas`, `dapose_joints` and `avg_betas`), `prepare_dataset_eval.py` with `377_eval.yaml`
@@ -220,7 +221,7 @@ def write_wild(
 
 
 def leave_strays(folder: Path) -> list[str]:
-    """What people's folders hold among the pictures; issues show a video written beside its own frames."""
+    """What people's folders hold among the pictures: a video made of them, what systems leave, smaller copies."""
     names = [
         "images/out.mp4",
         "images/.DS_Store",

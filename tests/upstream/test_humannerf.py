@@ -328,7 +328,8 @@ def test_held_out_cameras_of_another_sequence_are_refused(pair, source):
 
 def test_easymocap_poses_without_a_root(source, smpl):
     """`zju_smpl/easymocap_to_neuralbody.py` of zju3dv/neuralbody @ 301ab711418dd118b59eed833e34aa4d39e1cc0b hands on
-    EasyMocap's `poses` of `(1, 69)` as they are, and poses its body with three zeros before them (issue 146)."""
+    EasyMocap's `poses` of `(1, 69)` as they are, and poses its body with three zeros before them (thread 146 of its
+    tracker)."""
     values = {key: np.array(value.tolist()) for key, value in source.parameters(1).items()}
     values["poses"] = values["poses"][:, 3:]
     found = read_body(values, Poser(source.body).pelvis, "params/1.npy")
