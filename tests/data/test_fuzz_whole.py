@@ -35,6 +35,7 @@ def test_damaged_tables_are_refused_or_trained_on(table, pristine, source, tmp_p
         person=None,
         scene="0013_02",
         numbered_masks=False,
+        layout="auto",
     )
     monkeypatch.chdir(tmp_path)
     scene.module().frame_at(0)  # else every refusal would be for another reason
