@@ -12,7 +12,8 @@ from occfusion.data.findings import Finding, guarded, listed
 from occfusion.data.inspection import Look, posed_bodies
 from occfusion.data.lens import Lens
 from occfusion.data.mistakes import explain
-from occfusion.data.registration import View, register
+from occfusion.data.offsets import View
+from occfusion.data.registration import register
 from occfusion.data.scene import Array, Calibration
 from occfusion.data.validation import DOUBTFUL_OVERLAP, JOINTS_INSIDE, MISSED
 from occfusion.errors import DataError
@@ -106,9 +107,9 @@ def _registration(look: Look) -> Iterator[Finding]:
         )
         return
     frames = sorted(frame for frame in look.bodies if look.scene.shows(frame, look.camera))
-    chosen = np.unique(np.linspace(0, len(frames) - 1, REGISTERED).round().astype(int)) if frames else []
+    chosen = {int(k) for k in np.linspace(0, len(frames) - 1, REGISTERED).round()} if frames else set()
     views = []
-    for frame in (frames[k] for k in chosen):
+    for frame in (frames[k] for k in sorted(chosen)):
         person = look.people.get(frame) or survey.look_at_person(look.scene, frame, look.camera)
         lens = Lens.fitted(look.view(frame), (person.whole.width, person.whole.height), REGISTERED_SIZE)
         vertices = look.poser.pose(look.bodies[frame])[0]

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.data.correction import Correction
+from occfusion.data.offsets import View
 from occfusion.data.posing import Poser
 from occfusion.data.prepare import Prepared
-from occfusion.data.registration import MOST_FRAMES, Correction, Registration, View, agreement, register
+from occfusion.data.registration import MOST_FRAMES, Registration, agreement, register
 from occfusion.data.views import Views
 
 HELD_OUT_VIEWS = 60

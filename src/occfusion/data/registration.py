@@ -18,31 +18,22 @@ neighbouring poses are alike, and of the prior, and of what was measured on peop
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from occfusion.geometry.outlines import outline_offsets
-from occfusion.geometry.zbuffer import rasterize_mesh
-from occfusion.types import Camera
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from occfusion.data.correction import NONE, Correction
+from occfusion.data.offsets import Floats, Ints, Offsets, View, measure_offsets
 
 PARTS, PATCHES = 24, 300
 STANDS_OFF = 0.01
 """Metres: what clothes, hair and shoes of a part, or of a patch of it, stand off more or less than others."""
 MEAN_STANDS_OFF = 0.02
 """Metres: of the person as a whole."""
-REACH = 0.04
-"""Of the person's size in the picture: farther edges are not this outline's."""
-SAMPLES = 2
-"""A side, in each pixel of the projected body."""
 CORRELATED = 3.0
 """Neighbouring pixels of an outline err alike: so many of them count as one."""
 LEAST_NOISE = 0.2
@@ -50,11 +41,14 @@ LEAST_NOISE = 0.2
 BIWEIGHT = 4.7
 """Standard deviations beyond which Tukey's biweight gives no weight."""
 ITERATIONS = 15
-ROUNDS, SETTLED = 4, 0.02
+ROUNDS, SETTLED = 6, 0.02
 """Outlines are looked for anew where the correction puts them, until it moves by less than so many pixels."""
 BLOCKS, LEAST_BLOCKS = 10, 5
 LEAST_POINTS = 1000
 """Fewer points of the outline tell too little."""
+MOST_NOISE = 0.015
+"""Of the person's size: outlines that agree no better are not of the same thing. Embedded people have 0.001 where poses
+are exact and 0.01 at most where they are estimated; masks of random pixels have 0.023."""
 MOST_FRAMES = 100
 CERTAIN, LIKELY = 5.0, 2.0
 """Errors from which on something is off for certain; and from which on, where something is, a part of it is taken."""
@@ -65,40 +59,6 @@ SYSTEMATIC_SHIFT = 3e-4
 at most, of 190 (docs/registration.md)."""
 SYSTEMATIC_SCALE = 1.2e-3
 """The same people: 0.0014 at most."""
-
-
-@dataclass(frozen=True)
-class Correction:
-    """What a camera's intrinsics lack; applied by `corrected`.
-
-    Attributes:
-        shift: of the principal point, x and y, pixels of the picture that the camera is of.
-        scale: of the focal lengths, less 1.
-    """
-
-    shift: tuple[float, float] = (0.0, 0.0)
-    scale: float = 0.0
-
-    @property
-    def is_none(self) -> bool:
-        """Whether it changes nothing."""
-        return not any((*self.shift, self.scale))
-
-    def resized(self, factor: float) -> Correction:
-        """Returns it for the picture made larger by `factor`."""
-        return Correction((self.shift[0] * factor, self.shift[1] * factor), self.scale)
-
-    def corrected(self, camera: Camera) -> Camera:
-        """Returns the camera with its intrinsics corrected."""
-        if self.is_none:
-            return camera
-        K = camera.K.clone()
-        K[[0, 1], [0, 1]] *= 1.0 + self.scale
-        K[:2, 2] += K.new_tensor(self.shift)
-        return Camera(camera.viewmat, K, camera.width, camera.height)
-
-
-NONE = Correction()
 
 
 @dataclass(frozen=True)
@@ -132,42 +92,6 @@ class Registration:
         )
 
 
-@dataclass(frozen=True)
-class View:
-    """A posed body before a camera, and the mask there.
-
-    Attributes:
-        group: what errors are alike in: the frame's place in time, or the camera's number.
-        vertices: in the world, `[V, 3]`, metres.
-        camera: at the size of the mask, as calibrated.
-        mask: of the visible person, `[H, W]`.
-    """
-
-    group: int
-    vertices: Floats
-    camera: Camera
-    mask: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class _Offsets:
-    """Points of outlines of many views, `[N]` each.
-
-    `fields` are the pixels by which a unit of each unknown moves a point along its normal, `[N, 3]`: shift in x,
-    shift in y, scale. `size` is the person's in the picture, pixels.
-    """
-
-    fields: Floats
-    offsets: Floats
-    vertices: Ints
-    pixels_per_metre: Floats
-    groups: Ints
-    size: float
-
-    def __len__(self) -> int:
-        return len(self.offsets)
-
-
 def register(views: Sequence[View], faces: Ints, rest: Floats) -> Registration | None:
     """Returns how far the pictures of a camera lie off it; None where outlines tell too little.
 
@@ -179,7 +103,7 @@ def register(views: Sequence[View], faces: Ints, rest: Floats) -> Registration |
     places, total = _places(rest), np.zeros(3)
     for _ in range(ROUNDS):
         base = total
-        data = _measured(views, faces, _correction(base))
+        data = measure_offsets(views, faces, _correction(base))
         blocks = _blocks(data.groups)
         if len(data) < LEAST_POINTS or len(np.unique(blocks)) < LEAST_BLOCKS:
             return None
@@ -187,6 +111,8 @@ def register(views: Sequence[View], faces: Ints, rest: Floats) -> Registration |
         total = base + fit.unknowns
         if (np.abs(total - base) * (1.0, 1.0, data.size)).max() < SETTLED:
             break
+    if fit.noise > MOST_NOISE * data.size:
+        return None
     error = fit.errors(blocks, data.size)
     x, y, scale = (float(value) for value in total)
     return Registration(
@@ -214,13 +140,13 @@ def agreement(
     Returns:
         None where outlines tell too little.
     """
-    data = _measured(views, faces, Correction())
+    data = measure_offsets(views, faces, Correction())
     if len(data) < LEAST_POINTS:
         return None
     by_group = {view.group: correction for view, correction in zip(views, corrections, strict=True)}
     amounts = np.array([[*by_group[int(g)].shift, by_group[int(g)].scale] for g in data.groups])
     along = (data.fields * amounts).sum(axis=1, keepdims=True)
-    moved = _Offsets(along, data.offsets, data.vertices, data.pixels_per_metre, data.groups, data.size)
+    moved = Offsets(along, data.offsets, data.vertices, data.pixels_per_metre, data.groups, data.size)
     fit = _Fit(moved, _places(rest))
     groups = np.unique(data.groups)
     blocks = np.searchsorted(groups, data.groups) % min(BLOCKS, len(groups))
@@ -231,58 +157,6 @@ def agreement(
 def _correction(values: Floats) -> Correction:
     x, y, scale = (float(value) for value in values)
     return Correction((x, y), scale)
-
-
-def _measured(views: Iterable[View], faces: Ints, correction: Correction) -> _Offsets:
-    parts = []
-    for view in views:
-        camera = correction.corrected(view.camera)
-        viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
-        local = view.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
-        depth = local[:, 2]
-        pixels = (local[:, :2] / np.where(depth > 0.01, depth, 1.0)[:, None]) @ K[:2, :2].T + K[:2, 2]
-        size = float(np.ptp(pixels[depth > 0.01], axis=0).max(initial=0.0))
-        box = _window(pixels, depth, view.mask.shape, REACH * size)
-        if box is None:
-            continue
-        left, top, width, height = box
-        corner = np.array([left, top], dtype=np.float64)
-        zbuffer = rasterize_mesh(SAMPLES * (pixels - corner), depth, faces, SAMPLES * width, SAMPLES * height)
-        faces_seen = zbuffer.face.reshape(height, SAMPLES, width, SAMPLES)
-        coverage = (faces_seen >= 0).mean(axis=(1, 3), dtype=np.float32)
-        found = outline_offsets(
-            coverage, view.mask[top : top + height, left : left + width], max(REACH * size, 3.0)
-        )
-        face = faces_seen.max(axis=(1, 3))[found.pixels[:, 0], found.pixels[:, 1]]
-        vertices = faces[face, 0]
-        to_point = found.points + corner - K[:2, 2]
-        scale = (to_point * found.normals).sum(axis=1)
-        parts.append(
-            (
-                np.column_stack([found.normals, scale]), found.offsets, vertices,
-                K[0, 0] / depth[vertices], np.full(len(vertices), view.group), size,
-            )
-        )  # fmt: skip
-    if not parts:
-        return _Offsets(np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0), np.zeros(0, int), 0.0)
-    fields, offsets, vertices, per_metre, groups = (
-        np.concatenate([part[k] for part in parts]) for k in range(5)
-    )
-    return _Offsets(fields, offsets, vertices, per_metre, groups, float(np.median([p[5] for p in parts])))
-
-
-def _window(
-    pixels: Floats, depth: Floats, shape: tuple[int, ...], margin: float
-) -> tuple[int, int, int, int] | None:
-    """Returns the part of the picture about the body, x, y, width, height; None where the body is out of it."""
-    ahead = pixels[depth > 0.01]
-    if not len(ahead):
-        return None
-    limits = np.array([shape[1], shape[0]], dtype=np.float64)
-    low = np.clip(np.floor(ahead.min(axis=0) - margin - 4), 0, limits).astype(int)
-    high = np.clip(np.ceil(ahead.max(axis=0) + margin + 4), 0, limits).astype(int)
-    width, height = (int(value) for value in high - low)
-    return (int(low[0]), int(low[1]), width, height) if min(width, height) > 4 else None
 
 
 def _places(rest: Floats) -> tuple[Ints, Ints]:
@@ -306,9 +180,14 @@ def _blocks(groups: Ints) -> Ints:
 
 
 class _Fit:
-    """The robust fit: a Gaussian posterior of the unknowns, and of what stands off."""
+    """The robust fit: a Gaussian posterior of the unknowns, and of what stands off.
 
-    def __init__(self, data: _Offsets, places: tuple[Ints, Ints]) -> None:
+    Attributes:
+        count: number of unknowns.
+        noise: standard deviation of the offsets about the fit, robustly, pixels.
+    """
+
+    def __init__(self, data: Offsets, places: tuple[Ints, Ints]) -> None:
         part, patch = (place[data.vertices] for place in places)
         parts, patches = int(places[0].max()) + 1, int(places[1].max()) + 1
         rows, per_metre = np.arange(len(data)), data.pixels_per_metre
@@ -361,10 +240,10 @@ class _Fit:
         residual = self._offsets - np.median(self._offsets)
         weights = np.ones(len(residual))
         for iteration in range(ITERATIONS):
-            noise = max(1.4826 * float(np.median(np.abs(residual))), LEAST_NOISE)
+            self.noise = max(1.4826 * float(np.median(np.abs(residual))), LEAST_NOISE)
             if iteration:
-                weights = np.clip(1.0 - (residual / (BIWEIGHT * noise)) ** 2, 0.0, None) ** 2
-            weights = weights / (CORRELATED * noise**2)
+                weights = np.clip(1.0 - (residual / (BIWEIGHT * self.noise)) ** 2, 0.0, None) ** 2
+            weights = weights / (CORRELATED * self.noise**2)
             self._weights = weights
             normal, right = self._equations(slice(None))
             residual = self._offsets - self._terms @ np.linalg.solve(normal + np.diag(self._prior), right)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.data.cache import BoundedCache
+from occfusion.data.correction import NONE, Correction
 from occfusion.data.lens import Lens
 from occfusion.data.packing import Packed, pack
 from occfusion.data.prepare import Prepared
-from occfusion.data.registration import NONE, Correction
 from occfusion.data.scene import BodyParameters
 from occfusion.errors import DataError
 from occfusion.files.images import image_size, read_mask

@@ -55,8 +55,8 @@ def outline_offsets(coverage: NDArray[np.floating], seen: NDArray[np.bool_], rea
         reach: farthest offset that is looked for, pixels.
     """
     inside = (coverage > 0.5).astype(np.uint8)
-    rim = inside & ~cv2.erode(inside, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
-    rows, columns = np.nonzero(rim)
+    core = cv2.erode(inside, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    rows, columns = np.nonzero(inside > np.asarray(core))
     if not len(rows):
         nothing = np.zeros((0, 2))
         return OutlineOffsets(nothing, nothing, np.zeros(0), nothing.astype(np.int64))

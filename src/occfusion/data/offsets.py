@@ -1,0 +1,115 @@
+"""How far the person in pictures stands off the projected body, point by point of its outline."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occfusion.data.correction import Correction
+from occfusion.geometry.outlines import outline_offsets
+from occfusion.geometry.zbuffer import rasterize_mesh
+from occfusion.types import Camera
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+REACH = 0.04
+"""Of the person's size in the picture: farther edges are not this outline's."""
+SAMPLES = 2
+"""A side, in each pixel of the projected body."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A posed body before a camera, and the mask there.
+
+    Attributes:
+        group: what errors are alike in: the frame's place in time, or the camera's number.
+        vertices: in the world, `[V, 3]`, metres.
+        camera: at the size of the mask, as calibrated.
+        mask: of the visible person, `[H, W]`.
+    """
+
+    group: int
+    vertices: Floats
+    camera: Camera
+    mask: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Points of outlines of many views, `[N]` each.
+
+    `fields` are the pixels by which a unit of each unknown moves a point along its normal, `[N, 3]`: shift in x,
+    shift in y, scale. `size` is the person's in the picture, pixels.
+    """
+
+    fields: Floats
+    offsets: Floats
+    vertices: Ints
+    pixels_per_metre: Floats
+    groups: Ints
+    size: float
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+
+def measure_offsets(views: Iterable[View], faces: Ints, correction: Correction) -> Offsets:
+    """Returns where the masks of views have their outline, beside that of the projected body.
+
+    Args:
+        views: of one or more cameras.
+        faces: of the body, `[F, 3]`.
+        correction: of the cameras; offsets are measured from there.
+    """
+    parts = []
+    for view in views:
+        camera = correction.corrected(view.camera)
+        viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
+        local = view.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
+        depth = local[:, 2]
+        pixels = (local[:, :2] / np.where(depth > 0.01, depth, 1.0)[:, None]) @ K[:2, :2].T + K[:2, 2]
+        ahead = pixels[depth > 0.01]
+        size = float(np.ptp(ahead, axis=0).max()) if len(ahead) else 0.0
+        box = _window(ahead, view.mask.shape, REACH * size)
+        if box is None:
+            continue
+        left, top, width, height = box
+        corner = np.array([left, top], dtype=np.float64)
+        zbuffer = rasterize_mesh(SAMPLES * (pixels - corner), depth, faces, SAMPLES * width, SAMPLES * height)
+        faces_seen = zbuffer.face.reshape(height, SAMPLES, width, SAMPLES)
+        coverage = (faces_seen >= 0).mean(axis=(1, 3), dtype=np.float32)
+        found = outline_offsets(
+            coverage, view.mask[top : top + height, left : left + width], max(REACH * size, 3.0)
+        )
+        face = faces_seen.max(axis=(1, 3))[found.pixels[:, 0], found.pixels[:, 1]]
+        vertices = faces[face, 0]
+        to_point = found.points + corner - K[:2, 2]
+        scale = (to_point * found.normals).sum(axis=1)
+        parts.append(
+            (
+                np.column_stack([found.normals, scale]), found.offsets, vertices,
+                K[0, 0] / depth[vertices], np.full(len(vertices), view.group), size,
+            )
+        )  # fmt: skip
+    if not parts:
+        return Offsets(np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0), np.zeros(0, int), 0.0)
+    fields, offsets, vertices, per_metre, groups = (
+        np.concatenate([part[k] for part in parts]) for k in range(5)
+    )
+    return Offsets(fields, offsets, vertices, per_metre, groups, float(np.median([p[5] for p in parts])))
+
+
+def _window(ahead: Floats, shape: tuple[int, ...], margin: float) -> tuple[int, int, int, int] | None:
+    """Returns the part of the picture about points, x, y, width, height; None where they are out of it."""
+    if not len(ahead):
+        return None
+    limits = np.array([shape[1], shape[0]], dtype=np.float64)
+    low = np.clip(np.floor(ahead.min(axis=0) - margin - 4), 0, limits).astype(int)
+    high = np.clip(np.ceil(ahead.max(axis=0) + margin + 4), 0, limits).astype(int)
+    width, height = (int(value) for value in high - low)
+    return (int(low[0]), int(low[1]), width, height) if min(width, height) > 4 else None
