@@ -73,7 +73,7 @@ def measure_offsets(views: Iterable[View], faces: Ints, correction: Correction) 
         local = view.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
         depth = local[:, 2]
         pixels = (local[:, :2] / np.where(depth > 0.01, depth, 1.0)[:, None]) @ K[:2, :2].T + K[:2, 2]
-        ahead = pixels[depth > 0.01]
+        ahead = pixels[(depth > 0.01) & np.isfinite(pixels).all(axis=1)]
         size = float(np.ptp(ahead, axis=0).max()) if len(ahead) else 0.0
         box = _window(ahead, view.mask.shape, REACH * size)
         if box is None:

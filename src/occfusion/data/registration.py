@@ -100,6 +100,8 @@ def register(views: Sequence[View], faces: Ints, rest: Floats) -> Registration |
         faces: of the body, `[F, 3]`.
         rest: its vertices at rest, `[V, 3]`, metres.
     """
+    if not np.isfinite(rest).all():
+        return None
     places, total = _places(rest), np.zeros(3)
     for _ in range(ROUNDS):
         base = total
