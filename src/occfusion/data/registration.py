@@ -258,11 +258,12 @@ class _Fit:
 
 
 def _certain(total: Floats, error: Floats) -> Correction:
-    """Returns what is certain; and where something is, what is likely."""
+    """Returns what is certain; and where something is, what is likely. A shift is taken whole: x and y are one."""
     certainty = np.abs(total) / error
     if certainty.max() < CERTAIN:
         return NONE
-    x, y, scale = np.where(certainty >= LIKELY, total, 0.0)
+    is_shifted, is_scaled = certainty[:2].max() >= LIKELY, certainty[2] >= LIKELY
+    x, y, scale = total * (is_shifted, is_shifted, is_scaled)
     return Correction(
         (round(float(x), SHIFT_DIGITS), round(float(y), SHIFT_DIGITS)), round(float(scale), SCALE_DIGITS)
     )
