@@ -17,7 +17,7 @@ Beside a folder `377` OccNeRF's held-out cameras lie in `377_eval` (`held_out`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from occfusion.data.layouts import HELD_OUT
 from occfusion.data.lens import OPENCV_CENTRE
 from occfusion.data.listing import like, natural, partners, pngs_in, require_same, strays
 from occfusion.data.posing import AtRest
-from occfusion.data.rest_joints import require_joints, shape_from_joints
+from occfusion.data.rest_joints import joints_remark, shape_from_joints
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.data.tables import entry, load_table, need
 from occfusion.errors import DataError
@@ -120,6 +120,7 @@ class HumanNerfScene(Scene):
         }
         rest = _rest_joints(row, where)
         betas = self._betas(row, rest, where)
+        self._joints_remark(rest, betas, where)
         pelvis, poses = self._body.pelvis(betas), values["poses"]
         if rest is None:
             orient, transl = easymocap_to_smplx(values["Rh"], values["Th"], poses[:3], pelvis)
@@ -127,15 +128,30 @@ class HumanNerfScene(Scene):
             orient, transl = turned_about(values["Rh"], values["Th"], poses[:3], rest[0], pelvis)
         return self._camera.carry(frame, BodyParameters(betas, orient, poses[3:], transl), pelvis)
 
+    def body_doubts(self, pose: Callable[[BodyParameters], tuple[Array, Array]]) -> list[str]:
+        """Returns a sentence where `tpose_joints` of a frame are near the body's joints at rest, but not the same.
+
+        Raises:
+            DataError: they are another body's.
+        """
+        for name in self._names:
+            row, where = entry(self._meshes, name, self._meshes_file), f"{self._meshes_file}, {name}"
+            rest = _rest_joints(row, where)
+            if remark := self._joints_remark(rest, self._betas(row, rest, where), where):
+                return [remark]
+        return []
+
+    def _joints_remark(self, rest: Array | None, betas: Array, where: str) -> str:
+        """Returns what `joints_remark` says, of a body that does not stand in for the one of the tables."""
+        if rest is None or self._body.stands_in:
+            return ""
+        return joints_remark(rest, self._body.joints(betas), f"{where}, tpose_joints")
+
     def _betas(self, row: Mapping[str, Any], rest: Array | None, where: str) -> Array:
-        at = f"{where}, tpose_joints"
         if "betas" in row:
-            betas = checks.shape_numbers(row["betas"], f"{where}, betas")
-            if rest is not None:
-                require_joints(rest, betas, self._body, at)
-            return betas
+            return checks.shape_numbers(row["betas"], f"{where}, betas")
         if rest is not None:
-            return shape_from_joints(rest, self._body, at)
+            return shape_from_joints(rest, self._body)
         path = self.root / JOINTS
         if not path.is_file():
             raise DataError(

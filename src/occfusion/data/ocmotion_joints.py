@@ -1,4 +1,4 @@
-"""Joints that OcMotion's files have themselves, against those of the body: is it the body of the parameters?"""
+"""Key points that OcMotion's files have themselves, against the joints of the body: is it the person in the picture?"""
 
 from __future__ import annotations
 
@@ -9,17 +9,12 @@ import numpy as np
 
 from occfusion.data import checks
 from occfusion.data.scene import Array, BodyParameters, Calibration
-from occfusion.errors import DataError
 
 Posing = Callable[[BodyParameters], tuple[Array, Array]]
 """Gives vertices `[V, 3]` and joints `[24, 3]` in the world, metres."""
 
 LOOKED_AT = 8
 """Frames compared, evenly spread."""
-
-SAME_BODY = 0.005
-"""Greatest distance, metres, of a joint at rest in the very body that wrote it: float32 gives 1e-6, and the bodies of
-women and men differ by centimetres for the same coefficients."""
 
 LSP_LIMBS = {0: 8, 1: 5, 4: 4, 5: 7, 6: 21, 7: 19, 10: 18, 11: 20}
 """Ankles, knees, wrists and elbows: number among the 14 key points of LSP, and among SMPL's joints. Hips and shoulders
@@ -34,31 +29,6 @@ def evenly(frames: Sequence[int], count: int = LOOKED_AT) -> list[int]:
     """Returns a few of the frames, evenly spread."""
     chosen = np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)
     return [frames[k] for k in sorted(set(chosen.tolist()))] if frames else []
-
-
-def require_rest_joints(given: Array, betas: Array, pose: Posing, where: str) -> float:
-    """Returns how far the body's joints at rest are from those that a file gives, metres.
-
-    Args:
-        given: joints at rest, `[24, 3]` in metres, wherever the pelvis is.
-        betas: shape coefficients `[B]`.
-        pose: the body.
-        where: what the message calls the given joints.
-
-    Raises:
-        DataError: the greatest distance is above `SAME_BODY`: this is another body.
-    """
-    _, rest = pose(BodyParameters(betas, np.zeros(3), np.zeros(69), np.zeros(3)))
-    away = np.linalg.norm((rest - rest[0]) - (given - given[0]), axis=1)
-    residual = float(away.max())
-    if residual > SAME_BODY:
-        raise DataError(
-            f"{where}: the joints at rest differ by up to {1000 * residual:.1f} mm from those of the body file "
-            f"(joint {int(away.argmax())}; mean {1000 * float(away.mean()):.1f} mm), so that the parameters were "
-            "fitted with another body. Give body.path (in check: --body) the file that was used; for OcMotion it "
-            "is the neutral SMPL with 10 coefficients."
-        )
-    return residual
 
 
 def limb_distances(keypoints: Any, joints: Array, camera: Calibration, where: str) -> tuple[Array, float]:

@@ -28,8 +28,9 @@ from occfusion.data import checks
 from occfusion.data.fixed_camera import FixedCamera
 from occfusion.data.lens import OPENCV_CENTRE
 from occfusion.data.listing import SUFFIXES, natural, partners, pictures_in, require_same
-from occfusion.data.ocmotion_joints import Posing, evenly, require_rest_joints
+from occfusion.data.ocmotion_joints import Posing, evenly
 from occfusion.data.ocmotion_moments import camera_moves
+from occfusion.data.rest_joints import joints_remark
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.data.tables import entry, need, table
 from occfusion.errors import DataError
@@ -38,9 +39,6 @@ from occfusion.files.unpickle import load_pickle
 
 METADATA = "metadata.json"
 MESHES = "mesh_infos.pkl"
-
-ROUNDING = 1e-4
-"""Metres by which joints at rest may differ in the very body that wrote them."""
 
 SAME_TURN = 1e-3
 """Radians between two records of one rotation: more is no rounding."""
@@ -148,7 +146,7 @@ class W2aScene(Scene):
             DataError: its joints at rest are another body's.
         """
         path = self.root / MESHES
-        doubts: list[str] = []
+        remarks: list[str] = []
         known = [frame for frame, name in enumerate(self._names) if name in self._meshes]
         turned: list[str] = []
         for frame in evenly(known):
@@ -156,15 +154,12 @@ class W2aScene(Scene):
             row, where, body = entry(self._meshes, name, path), f"{path}, {name}", self._own_parameters(frame)
             if "tpose_joints" in row:
                 given = checks.numbers(row["tpose_joints"], (24, 3), f"{where}, tpose_joints")
-                residual = require_rest_joints(given, body.betas, pose, f"{where}, tpose_joints")
-                if residual > ROUNDING and not doubts:
-                    doubts.append(
-                        f"{where}: the joints at rest are up to {1000 * residual:.1f} mm from those of the body file: "
-                        "perhaps another version of it."
-                    )
+                own = pose(BodyParameters(body.betas, np.zeros(3), np.zeros(69), np.zeros(3)))[1]
+                remarks.append(joints_remark(given, own, f"{where}, tpose_joints"))
             if "Rh" in row:
                 Rh = checks.numbers(row["Rh"], 3, f"{where}, Rh")
                 turned += [name] if checks.turn_between(Rh, body.global_orient) > SAME_TURN else []
+        doubts = [remark for remark in remarks if remark][:1]
         if turned:
             doubts.append(
                 f"{path}: Rh is another rotation than poses[:3] of {METADATA} in {len(turned)} of the frames looked "
