@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from occfusion.files.atomic import write_json
 from occfusion.human import load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.init_run import run_init
-from occfusion.needs import as_planned
 from occfusion.optim_run import start_as_observed
 from occfusion.priors.registry import make_score_prior
 from occfusion.processes import is_helper, tell_helpers
@@ -50,7 +48,7 @@ def run_stages(run_: Run) -> None:
     Raises:
         Interrupted: a signal stopped it; the same command continues.
     """
-    for stage in run_.stages:
+    for stage in run_.plan.stages:
         if stage == "init":
             _complete_masks(run_)
         else:
@@ -88,10 +86,7 @@ def _run_stage(run_: Run, name: str) -> None:
         settings.evaluation.curve_images,
         settings.evaluation.curve_first_second,
     )
-    planned = as_planned(settings, run_.moments)
-    # a lamp that was not found is none
-    planned = replace(planned, optim=replace(planned.optim, key_light=run_.avatar.key_light is not None))
-    identity = {"settings": optim_hash(planned), "data": run_.data_hash, "curve": curve}
+    identity = {"settings": optim_hash(run_.plan.settings), "data": run_.data_hash, "curve": curve}
     shared = shared_folder(run_.folder, settings.shared_dir, name, identity)
     with sole_maker(shared, name):
         if take(shared, folder) is not None and finished.is_file():
@@ -135,7 +130,7 @@ def _train_stage(run_: Run, name: str) -> None:
 
 
 def _optim_stage(run_: Run) -> tuple[AvatarStage, float]:
-    settings = as_planned(run_.settings, run_.moments)
+    settings = run_.plan.settings
     stage = OptimStage(
         run_.avatar,
         settings.optim,
@@ -159,8 +154,8 @@ def _doubts(run_: Run) -> Doubts:
 
 def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
     """Returns the stage, its references made, and the seconds that they took."""
-    settings = run_.settings
-    refine = as_planned(settings, run_.moments).refine
+    settings = run_.plan.settings
+    refine = settings.refine
     assert run_.moments is not None
     identity = {"data": run_.data_hash, "avatar": file_digest(run_.folder / "optim" / "avatar.safetensors")}
     references, seconds = make_references(
@@ -198,8 +193,8 @@ def _warm_up(run_: Run, stage: str) -> None:
     """Compiles what the first step would wait for, so that the first run on a machine trains no longer than others."""
     started = time.perf_counter()
     warm_up(run_.backend, device_of(run_.settings))
-    planned, metric = as_planned(run_.settings, run_.moments), run_.training_metric
-    weight = planned.optim.lambda_lpips if stage == "optim" else planned.refine.lambda_lpips
+    metric = run_.training_metric
+    weight: float = getattr(run_.plan.settings, stage).lambda_lpips
     if metric is not None and weight > 0:
         metric.warm_up()
     seconds = time.perf_counter() - started
@@ -216,7 +211,7 @@ def _make_densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | 
 
 def _make_distiller(run_: Run) -> Distiller[Any] | None:
     """Returns score distillation, its prior loaded, where the plan has a term of it."""
-    settings = as_planned(run_.settings, run_.moments)
+    settings = run_.plan.settings
     if not settings.optim.sds.is_used:
         return None
     assert run_.moments is not None

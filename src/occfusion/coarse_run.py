@@ -51,5 +51,5 @@ def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse
     assert run_.moments is not None
     run_stages(run_)
     positions = range(len(run_.data.train_indices))
-    frames = [run_.data.train_frame(k, complete="init" in run_.stages) for k in positions]
+    frames = [run_.data.train_frame(k, complete="init" in run_.plan.stages) for k in positions]
     return Coarse(run_.avatar.eval(), frames, run_.moments, run_.backend)

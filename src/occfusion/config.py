@@ -36,6 +36,7 @@ PERCEPTUAL_INPUTS = ("centred", "unit")
 STRATEGIES = ("auto", "ddp")
 """How several processes train one scene; both mean the same."""
 VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
+RECIPES = ("ours", "paper")
 
 
 @dataclass
@@ -112,6 +113,7 @@ class Settings:
     dataset: dict[str, Any] = field(default_factory=dict)
     body: BodySettings = field(default_factory=BodySettings)
     variant: VariantSettings = field(default_factory=VariantSettings)
+    recipe: Named = field(default_factory=Named)
     prior: dict[str, Any] = field(default_factory=dict)
     rasterizer: Named = field(default_factory=Named)
     perceptual: PerceptualSettings = field(default_factory=PerceptualSettings)
@@ -156,7 +158,7 @@ def load_settings(config: DictConfig) -> Settings:
 def settings_hash(settings: Settings) -> str:
     """Returns a short hash of all that decides what training computes."""
     relevant = asdict(settings)
-    for key in ("stage", "speed", "evaluation", "output_dir", "shared_dir", "prior_training"):
+    for key in ("stage", "speed", "recipe", "evaluation", "output_dir", "shared_dir", "prior_training"):
         del relevant[key]
     is_distilled = settings.optim.sds.is_used
     if "refine" not in settings.variant.stages:
@@ -197,6 +199,7 @@ def stages_to_run(settings: Settings) -> list[str]:
 
 def _check_choices(settings: Settings) -> None:
     _check_in("variant.name", settings.variant.name, VARIANTS)
+    _check_in("recipe.name", settings.recipe.name, RECIPES)
     _check_in("stage.name", settings.stage.name, ("all", *STAGES, PRIOR_STAGE))
     for stage in stages_to_run(settings):
         if stage not in settings.variant.stages:

@@ -22,9 +22,6 @@ references it still trains on, with more Gaussians (docs/leaving_out.md has what
 MOSTLY_HIDDEN = 0.9
 """Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on."""
 
-BASELINE = "gauhuman"
-"""The variant that is kept as it was published."""
-
 LIT = 0.1
 """Of the differences between sightings of a point of the body: a lamp that explains less is left out."""
 DETERMINED = 50.0
@@ -74,8 +71,8 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
     """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order.
 
     Where no frame is occluded, neither has anything to add to what is seen. Nor has either where every occluded frame
-    gets a complete mask (docs/refinement.md has the figures): the whole system then leaves both out, while `C` and
-    `D`, which are there to show them, keep them.
+    gets a complete mask and a refinement follows: both are left out then. Variants without a refinement, which are
+    there to show the terms, keep them.
     """
     sds = settings.optim.sds
     reasons = [f"optim.sds.lambda_{name} = {getattr(sds, f'lambda_{name}'):g}" for name in ("pose", "can")]
@@ -100,8 +97,8 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
 def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
     """Returns the decisions on pose refinement, corrections frame by frame, and the skinning network, in this order.
 
-    They mend poses. All variants but the plain baseline leave them out where poses fit: the masks of the frames that
-    show a whole person then show the person wherever the body model has it (docs/leaving_out.md has the figures).
+    They mend poses. They are left out where poses fit: the masks of the frames that show a whole person then show the
+    person wherever the body model has it.
     """
     optim = settings.optim
     decisions = [
@@ -128,13 +125,13 @@ def is_perceptual_term_deferred(settings: Settings) -> bool:
     The end of the refinement is the same (docs/leaving_out.md), and the term is half of what the optimisation costs.
     """
     both = min(settings.optim.lambda_lpips, settings.refine.lambda_lpips) > 0
-    return both and _may_leave_out(settings) and "refine" in settings.variant.stages
+    return both and _may_leave_out(settings)
 
 
 def start_decision(settings: Settings) -> Decision:
     """Returns whether there are more Gaussians at the start than the body has vertices.
 
-    The whole system leaves that to its refinement, which adds them where they are needed.
+    Where a refinement follows, that is left to it: it adds them where they are needed.
     """
     asked, reason = settings.optim.gaussians > 0, f"optim.gaussians = {settings.optim.gaussians}"
     added = asked and _may_leave_out(settings) and settings.refine.densify
@@ -168,29 +165,7 @@ def may_leave_out_networks(settings: Settings) -> bool:
     """Returns whether how well poses fit decides on pose refinement and the skinning network."""
     optim = settings.optim
     asked = optim.refine_pose or optim.pose_knots > 0 or optim.learn_skinning
-    return asked and settings.plan == "needed" and settings.variant.name != BASELINE
-
-
-def as_planned(settings: Settings, moments: Sequence[Moment] | None) -> Settings:
-    """Returns the settings without the terms and networks that the plan leaves out: what training goes by."""
-    pose, can = (decision.used for decision in sds_decisions(settings, moments))
-    networks = network_decisions(settings, moments)
-    refine_pose, has_spline, learn_skinning = (decision.used for decision in networks)
-    sds = settings.optim.sds
-    sds = replace(
-        sds, lambda_pose=sds.lambda_pose if pose else 0.0, lambda_can=sds.lambda_can if can else 0.0
-    )
-    pose_knots = settings.optim.pose_knots if has_spline else 0
-    optim = replace(
-        settings.optim, sds=sds, refine_pose=refine_pose, pose_knots=pose_knots, learn_skinning=learn_skinning
-    )
-    optim_weight, refine_weight = _hidden_mask_weights(settings, moments)
-    gaussians = settings.optim.gaussians if start_decision(settings).used else 0
-    optim = replace(optim, mask_hidden=optim_weight, gaussians=gaussians)
-    refine = replace(settings.refine, mask_hidden=refine_weight, mask_target=_mask_target(settings, moments))
-    if is_perceptual_term_deferred(settings):
-        optim = replace(optim, lambda_lpips=0.0)
-    return replace(settings, optim=optim, refine=refine)
+    return asked and settings.plan == "needed"
 
 
 def generated_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
@@ -202,17 +177,50 @@ def generated_decision(settings: Settings, moments: Sequence[Moment] | None) -> 
     return Decision("loss term gen in refine", used, reason)
 
 
-def hidden_mask_decision(stage: str, settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+@dataclass(frozen=True)
+class HiddenMasks:
+    """What the mask term holds pixels to where the person may be hidden.
+
+    Attributes:
+        optim: weight in the optimisation, 0..1.
+        refine: weight in the refinement.
+        target: of the refinement: `complete` masks, or the avatar's own `outline`.
+    """
+
+    optim: float
+    refine: float
+    target: str
+
+
+def hidden_masks(settings: Settings, moments: Sequence[Moment] | None) -> HiddenMasks:
+    """Returns what hidden pixels are held to, and by what weight.
+
+    An outline takes the place of complete masks only where no poses are mended, which move it. Complete masks are
+    made from the poses as given: where these fit, masks are nearly right and count for more. The optimisation begins
+    with the refinement's weight. With `plan=full` hidden pixels count fully in the refinement, as in the paper.
+    """
+    own, refine = settings.optim.mask_hidden, settings.refine
+    if settings.plan == "full":
+        return HiddenMasks(own, 1.0, "complete")
+    fits = poses_fit(moments)
+    doubted = refine.mask_hidden_fitting if fits else refine.mask_hidden
+    target = refine.mask_target if fits else "complete"
+    first = min(own, doubted) if _may_leave_out(settings) else own
+    return HiddenMasks(first, refine.mask_outline if target == "outline" else doubted, target)
+
+
+def hidden_mask_decision(
+    stage: str, settings: Settings, hidden: HiddenMasks, moments: Sequence[Moment] | None
+) -> Decision:
     """Returns whether the mask term counts fully on hidden pixels: what is there, other frames may tell better."""
-    weights = _hidden_mask_weights(settings, moments)
-    weight = weights[0] if stage == "optim" else weights[1]
+    weight = hidden.optim if stage == "optim" else hidden.refine
     part = "full mask term on hidden pixels" + ("" if stage == "optim" else f" in {stage}")
     reason = f"it counts {weight:g} there"
     if stage == "optim" and weight < settings.optim.mask_hidden:
         reason += ": other frames tell better"
     if "refine" in settings.variant.stages and poses_fit(moments):
         reason += "; poses fit as given, so complete masks do"
-    is_replaced = stage == "refine" and _mask_target(settings, moments) == "outline"
+    is_replaced = stage == "refine" and hidden.target == "outline"
     if is_replaced:
         reason = f"poses fit as given: the avatar's own outline takes the place of complete masks, weight {weight:g}"
     if moments is not None and not _occluded(moments):
@@ -220,25 +228,21 @@ def hidden_mask_decision(stage: str, settings: Settings, moments: Sequence[Momen
     return Decision(part, weight == 1.0 and not is_replaced, reason)
 
 
-def _hidden_mask_weights(settings: Settings, moments: Sequence[Moment] | None) -> tuple[float, float]:
-    """Returns those of optimisation and refinement; the whole system begins with the latter's (docs/refinement.md).
-
-    With `plan=full` hidden pixels count fully in the refinement, as in the paper. Complete masks are made from the
-    poses as given: where these fit, masks are nearly right and count for more.
-    """
-    own, refine = settings.optim.mask_hidden, settings.refine
-    if settings.plan == "full":
-        return own, 1.0
-    doubted = refine.mask_hidden_fitting if poses_fit(moments) else refine.mask_hidden
-    is_whole = _may_leave_out(settings) and "refine" in settings.variant.stages
-    refined = refine.mask_outline if _mask_target(settings, moments) == "outline" else doubted
-    return (min(own, doubted) if is_whole else own), refined
-
-
-def _mask_target(settings: Settings, moments: Sequence[Moment] | None) -> str:
-    """Returns what the refinement holds hidden pixels to: an outline only where no poses are mended, which move it."""
-    may_be_own = settings.plan == "needed" and poses_fit(moments)
-    return settings.refine.mask_target if may_be_own else "complete"
+def densification_decision(stage: str, settings: AvatarSettings, steps: int) -> Decision:
+    """Returns whether Gaussians are added and removed: where that is asked and a round falls into the steps."""
+    part = "densification" + ("" if stage == "optim" else " in the refinement")
+    reason = f"{stage}.densify = {settings.densify}"
+    if not settings.densify:
+        return Decision(part, False, reason)
+    rounds = settings.densification.rounds(steps)
+    if not rounds:
+        schedule = settings.densification
+        reason += (
+            f"; no round falls into {steps} steps (after {schedule.after_step}, every {schedule.every}, before "
+            f"{schedule.before_step})"
+        )
+        return Decision(part, False, reason)
+    return Decision(part, True, f"{reason}; rounds at steps {', '.join(map(str, rounds))} of {steps}")
 
 
 def box_reason(moments: Sequence[Moment] | None) -> str:
@@ -278,8 +282,8 @@ def with_everything(moments: Sequence[Moment]) -> list[Moment]:
 
 
 def _may_leave_out(settings: Settings) -> bool:
-    """Returns whether parts may go that other variants are there to show: in the whole system, unless all is asked."""
-    return settings.variant.name == "E" and settings.plan == "needed"
+    """Returns whether parts may go that a refinement makes up for: where one follows, unless all is asked."""
+    return "refine" in settings.variant.stages and settings.plan == "needed"
 
 
 def _occluded(moments: Sequence[Moment]) -> int:

@@ -1,25 +1,33 @@
-"""What a scene needs and what is left out, each with the measured reason (`plan.json`)."""
+"""What a scene needs and what is left out, decided once, each with the measured reason (`plan.json`).
+
+The plan holds the settings that training goes by. Nothing else is worked out from the decisions later.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
 
-from occfusion.config import Settings
+from occfusion.config import Settings, stages_to_run
+from occfusion.data.registered import SceneRegistration
 from occfusion.needs import (
     Decision,
+    HiddenMasks,
     box_reason,
     correction_decision,
+    densification_decision,
     generated_decision,
     hidden_mask_decision,
+    hidden_masks,
     inpainting_decision,
     is_perceptual_term_deferred,
     key_light_decision,
     mask_decision,
     network_decisions,
+    registration_decision,
     sds_decisions,
     stage_decisions,
     start_decision,
@@ -30,65 +38,165 @@ from occfusion.priors.moments import Moment
 from occfusion.stages.settings import AvatarSettings
 
 
+@dataclass(frozen=True)
+class Plan:
+    """What a run does.
+
+    Attributes:
+        decisions: on each part, with the reason.
+        settings: those that training goes by: without the terms, networks and schedules that are left out.
+        stages: those that run, in order.
+        inpaints: whether frames are inpainted in the refinement.
+    """
+
+    decisions: tuple[Decision, ...]
+    settings: Settings
+    stages: tuple[str, ...]
+    inpaints: bool
+
+    def left_out(self) -> list[str]:
+        """Returns the names of the parts that are not used."""
+        return [decision.part for decision in self.decisions if not decision.used]
+
+    def json(self) -> dict[str, Any]:
+        """Returns the plan as it stands in `plan.json`."""
+        return {"decisions": [asdict(decision) for decision in self.decisions]}
+
+    def lines(self) -> list[str]:
+        """Returns the plan in a few lines, for the beginning of a run: what is measured, and what that leaves out."""
+        told = [d for d in self.decisions if d.part in TOLD and (d.used or d.part in TOLD_IF_NOT)]
+        return [
+            f"stages: {', '.join(self.stages) or 'none'}",
+            *(f"{d.part}: {'yes' if d.used else 'no'}; {d.reason}" for d in told),
+        ]
+
+
+TOLD = (
+    "camera correction",
+    "complete masks",
+    "pose refinement",
+    "key light",
+    "densification in the refinement",
+)
+"""Parts whose decision a user wants to see at once; `plan.json` has them all."""
+TOLD_IF_NOT = TOLD[1:]
+"""Those of them that are told also where they are not used."""
+
+
 def make_plan(
     settings: Settings,
     summary: Mapping[str, Any],
     backend: str,
     moments: Sequence[Moment] | None = None,
     key_light: KeyLight | None = None,
-) -> list[Decision]:
-    """Returns the decisions for a run, from its settings and from what the data folder showed.
+    registered: SceneRegistration | None = None,
+    device: torch.device | None = None,
+) -> Plan:
+    """Returns the plan of a run, from its settings and from what the data folder showed.
 
     Args:
-        settings: the run's settings.
+        settings: as the user asked.
         summary: the DataModule's summary; uses `occluded_frames` and `frames`.
         backend: the rasteriser backend that runs.
         moments: what masks and poses say of the training frames; None where nothing depends on it.
         key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
+        registered: whether pictures lie where the cameras say; None where that was not measured.
+        device: where the run computes; the CPU when None.
     """
-    optim = settings.optim
-    plan = stage_decisions(settings, moments)
-    plan.append(mask_decision(settings, moments))
-    plan.append(inpainting_decision(settings, moments))
+    optim, refine = settings.optim, settings.refine
+    stages = stage_decisions(settings, moments)
+    running = tuple(
+        stage for stage in stages_to_run(settings)
+        if any(d.used and d.part == f"stage {stage}" for d in stages)
+    )  # fmt: skip
+    is_refined = "refine" in running
+    inpainting = inpainting_decision(settings, moments)
+    hidden = hidden_masks(settings, moments)
+    is_deferred = is_perceptual_term_deferred(settings)
+    distillation = sds_decisions(settings, moments)
+    networks = network_decisions(settings, moments)
+    lamp = key_light_decision(settings, key_light)
+    start = start_decision(settings)
+    rounds = densification_decision("optim", optim, steps_of(settings, optim))
+    refined_rounds = densification_decision("refine", refine, steps_of(settings, refine))
+    effective = _effective(
+        settings, hidden, is_deferred, distillation, networks, lamp, start, rounds, refined_rounds
+    )
+
+    plan = [registration_decision(registered), *stages, mask_decision(settings, moments), inpainting]
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
     plan += _term_decisions("optim", optim, ("rgb", "mask", "ssim"))
-    plan.append(hidden_mask_decision("optim", settings, moments))
-    if is_perceptual_term_deferred(settings):
+    plan.append(hidden_mask_decision("optim", settings, hidden, moments))
+    if is_deferred:
         reason = f"optim.lambda_lpips = {optim.lambda_lpips:g}; the refinement that follows has it, and ends the same"
         plan.append(Decision("loss term lpips", False, reason))
     else:
         plan += _term_decisions("optim", optim, ("lpips",))
-    plan += sds_decisions(settings, moments)
-    is_refined = any(decision.used and decision.part == "stage refine" for decision in plan)
+    plan += distillation
     highest = refined_sh_degree(settings) if is_refined else reached_sh_degree(settings)
     plan.append(
         Decision("spherical harmonics above the active degree", False,
                  f"degree {highest} is the highest reached in the run's steps; higher bands are not allocated")
     )  # fmt: skip
-    networks = network_decisions(settings, moments)
-    plan += networks
-    plan.append(correction_decision("optim", optim, networks))
-    plan.append(key_light_decision(settings, key_light))
-    plan.append(start_decision(settings))
+    plan += [*networks, correction_decision("optim", optim, networks), lamp, start]
     reason = f"optim.observed_colors = {optim.observed_colors}"
     plan.append(Decision("colours of the video at the start", optim.observed_colors, reason))
-    plan.append(Decision("densification", optim.densify, f"optim.densify = {optim.densify}"))
+    plan.append(rounds)
     if is_refined:
-        refine = settings.refine
         plan += _term_decisions("refine", refine, ("rgb", "mask"))
-        plan.append(hidden_mask_decision("refine", settings, moments))
+        plan.append(hidden_mask_decision("refine", settings, hidden, moments))
         plan.append(generated_decision(settings, moments))
         plan += _term_decisions("refine", refine, ("ssim", "lpips"))
-        plan.append(correction_decision("refine", refine, networks))
-        reason = f"refine.densify = {refine.densify}"
-        plan.append(Decision("densification in the refinement", refine.densify, reason))
+        plan += [correction_decision("refine", refine, networks), refined_rounds]
     plan.append(Decision("pixels outside the person's padded box", False, box_reason(moments)))
     plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
-    return plan
+    plan += precision_decisions(settings, plan, device or torch.device("cpu"))
+    return Plan(tuple(plan), effective, running, inpainting.used)
 
 
-def precision_decisions(settings: Settings, plan: list[Decision], device: torch.device) -> list[Decision]:
+def _effective(
+    settings: Settings,
+    hidden: HiddenMasks,
+    is_deferred: bool,
+    distillation: Sequence[Decision],
+    networks: Sequence[Decision],
+    lamp: Decision,
+    start: Decision,
+    rounds: Decision,
+    refined_rounds: Decision,
+) -> Settings:
+    """Returns the settings without what the decisions leave out."""
+    asked = settings.optim
+    posed, canonical = (decision.used for decision in distillation)
+    refine_pose, has_spline, learn_skinning = (decision.used for decision in networks)
+    sds = replace(
+        asked.sds,
+        lambda_pose=asked.sds.lambda_pose if posed else 0.0,
+        lambda_can=asked.sds.lambda_can if canonical else 0.0,
+    )
+    optim = replace(
+        asked,
+        sds=sds,
+        refine_pose=refine_pose,
+        pose_knots=asked.pose_knots if has_spline else 0,
+        learn_skinning=learn_skinning,
+        mask_hidden=hidden.optim,
+        gaussians=asked.gaussians if start.used else 0,
+        key_light=lamp.used,
+        densify=rounds.used,
+        lambda_lpips=0.0 if is_deferred else asked.lambda_lpips,
+    )
+    refine = replace(
+        settings.refine,
+        mask_hidden=hidden.refine,
+        mask_target=hidden.target,
+        densify=refined_rounds.used,
+    )
+    return replace(settings, optim=optim, refine=refine)
+
+
+def precision_decisions(settings: Settings, plan: Sequence[Decision], device: torch.device) -> list[Decision]:
     """Returns whether single precision is left out of the perceptual term, where a plan has one and that was asked."""
     asked = settings.perceptual.precision
     if asked == "float32" or not any(d.used and d.part.startswith("loss term lpips") for d in plan):
@@ -115,16 +223,6 @@ def refined_sh_degree(settings: Settings) -> int:
 def steps_of(settings: Settings, stage: AvatarSettings) -> int:
     """Returns the steps that a stage takes."""
     return stage.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
-
-
-def left_out(plan: list[Decision]) -> list[str]:
-    """Returns the names of the parts that are not used."""
-    return [decision.part for decision in plan if not decision.used]
-
-
-def plan_json(plan: list[Decision]) -> dict[str, Any]:
-    """Returns the plan as it stands in `plan.json`."""
-    return {"decisions": [asdict(decision) for decision in plan]}
 
 
 def _term_decisions(stage: str, settings: AvatarSettings, terms: tuple[str, ...]) -> list[Decision]:

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
-from torch import Tensor
 
-from occfusion import plan as planning
 from occfusion.compose import make_body, make_data
-from occfusion.config import Settings, stages_to_run
+from occfusion.config import Settings
 from occfusion.data.module import HumanDataModule
+from occfusion.data.registered import SceneRegistration
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline
 from occfusion.init_run import look_at_training_frames
 from occfusion.inpaint.registry import check_inpainter
-from occfusion.needs import (
-    Decision,
-    as_planned,
-    may_leave_out_networks,
-    registration_decision,
-    with_everything,
-)
+from occfusion.needs import may_leave_out_networks, with_everything
 from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
+from occfusion.plan import Plan, make_plan, reached_sh_degree
 from occfusion.priors.key_light import KeyLight, find_key_light
 from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior
@@ -39,7 +35,8 @@ class Run:
     """The objects of one run.
 
     Attributes:
-        settings: typed and checked.
+        settings: as the user asked, typed and checked.
+        plan: what the scene needs of them; `plan.settings` are those that training goes by.
         folder: the run folder, claimed.
         data: the training and held-out frames.
         avatar: as far as it is trained.
@@ -47,10 +44,10 @@ class Run:
         backend: of the rasteriser.
         moments: what masks and poses say of the training frames; None where nothing depends on it.
         data_hash: of all that is read.
-        stages: those that will run, in order: what the scene does not need is left out.
     """
 
     settings: Settings
+    plan: Plan
     folder: Path
     data: HumanDataModule
     avatar: Avatar
@@ -58,7 +55,6 @@ class Run:
     backend: str
     moments: list[Moment] | None
     data_hash: str
-    stages: list[str]
 
     @property
     def training_metric(self) -> PerceptualMetric | None:
@@ -71,8 +67,25 @@ class Run:
         return render_frame(self.avatar, frame, self.backend)
 
 
+@dataclass(frozen=True)
+class Observed:
+    """What a data folder shows, before anything is decided.
+
+    Attributes:
+        summary: what was selected and found.
+        registered: whether pictures lie where the cameras say; None where that is not to be measured.
+        moments: what masks and poses say of the training frames; None where nothing depends on it.
+        key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
+    """
+
+    summary: dict[str, Any]
+    registered: SceneRegistration | None
+    moments: list[Moment] | None
+    key_light: KeyLight | None
+
+
 def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
-    """Returns the objects of a run, its data checked and its folder claimed; writes the plan.
+    """Observes the data, decides what the scene needs, and builds the objects of the run; writes the plan.
 
     Raises:
         OccfusionError: anything that the user can mend.
@@ -80,49 +93,78 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     body = make_body(settings.body)
     data = make_data(settings, body)
     data.validate()
-    registered = data.register(body.faces.cpu().numpy()) if settings.registration == "auto" else None
-    summary = data.summary()
-    print("\n".join(["data taken", *(f"  {line}" for line in data.taken.lines())]))
-    backend = resolve_backend(settings.rasterizer.name, device_of(settings), torch.float32)
-    is_prior_asked = "init" in settings.variant.stages or settings.optim.sds.is_used
-    is_hidden_weighed = settings.optim.mask_hidden < 1.0
-    are_frames_judged = (
-        is_prior_asked or may_leave_out_networks(settings) or is_hidden_weighed or settings.optim.key_light
+    observed = observe(settings, data, body)
+    device = device_of(settings)
+    backend = resolve_backend(settings.rasterizer.name, device, torch.float32)
+    plan = make_plan(
+        settings,
+        observed.summary,
+        backend,
+        observed.moments,
+        observed.key_light,
+        observed.registered,
+        device,
     )
-    moments = look_at_training_frames(data, body) if are_frames_judged else None
-    key_light = None
-    if moments is not None and settings.optim.key_light:
-        key_light = find_key_light(
-            lambda k: data.train_frame(k, truth=False), moments, body.faces.cpu().numpy()
-        )
-    if moments is not None and settings.plan == "full":
-        moments = with_everything(moments)
-    decisions = [registration_decision(registered)]
-    decisions += planning.make_plan(settings, summary, backend, moments, key_light)
-    decisions += planning.precision_decisions(settings, decisions, device_of(settings))
-    _check_priors(settings, decisions)
+    _check_priors(plan, device)
     folder = claim_run_folder(
-        settings, summary["hash"], chosen_by_user=folder_chosen_by_user, data=summary["taken"]
+        settings,
+        observed.summary["hash"],
+        chosen_by_user=folder_chosen_by_user,
+        data=observed.summary["taken"],
     )
-    if decisions[0].used:
-        print(f"{decisions[0].part}: {decisions[0].reason}")
     if not is_helper():
-        write_json(folder / "plan.json", planning.plan_json(decisions) | {"scene": summary})
-    stages = [
-        stage for stage in stages_to_run(settings) if f"stage {stage}" not in planning.left_out(decisions)
-    ]
-    for stage in stages_to_run(settings):
-        if stage not in stages:
-            print(f"{stage}: left out, no frame is occluded")
-    if not is_helper():
+        write_json(folder / "plan.json", plan.json() | {"scene": observed.summary})
         data.store_occlusion(folder / "occlusion")
+        _tell("data", data.taken.lines())
+        _tell("plan", [*plan.lines(), f"all decisions: {folder / 'plan.json'}"])
+    trained = [getattr(settings, stage) for stage in plan.stages if stage != "init"]
     perceptual = None
-    trained = [getattr(settings, stage) for stage in stages if stage != "init"]
     if settings.evaluation.perceptual or any(stage.lambda_lpips for stage in trained):
         perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
-    optim = as_planned(settings, moments).optim
-    sh_degree = planning.reached_sh_degree(settings)
-    avatar = Avatar(
+    return Run(
+        settings=settings,
+        plan=plan,
+        folder=folder,
+        data=data,
+        avatar=_make_avatar(plan.settings, data, body, observed.key_light),
+        perceptual=perceptual,
+        backend=backend,
+        moments=observed.moments,
+        data_hash=observed.summary["hash"],
+    )
+
+
+def observe(settings: Settings, data: HumanDataModule, body: Body) -> Observed:
+    """Returns what a data folder shows, as far as the settings leave anything to decide by it.
+
+    Args:
+        settings: as the user asked.
+        data: checked; its cameras are corrected where that is certain.
+        body: of the data.
+    """
+    faces = body.faces.cpu().numpy()
+    registered = data.register(faces) if settings.registration == "auto" else None
+    optim = settings.optim
+    is_prior_asked = "init" in settings.variant.stages or optim.sds.is_used
+    are_judged = (
+        is_prior_asked or may_leave_out_networks(settings) or optim.mask_hidden < 1.0 or optim.key_light
+    )
+    moments = look_at_training_frames(data, body) if are_judged else None
+    key_light = None
+    if moments is not None and optim.key_light:
+        key_light = find_key_light(lambda k: data.train_frame(k, truth=False), moments, faces)
+    if moments is not None and settings.plan == "full":
+        moments = with_everything(moments)
+    return Observed(data.summary(), registered, moments, key_light)
+
+
+def _make_avatar(planned: Settings, data: HumanDataModule, body: Body, key_light: KeyLight | None) -> Avatar:
+    optim, sh_degree = planned.optim, reached_sh_degree(planned)
+    lamp = None
+    if optim.key_light:
+        assert key_light is not None  # the plan has one only where one was found
+        lamp = torch.from_numpy(key_light.vector).to(body.v_template)
+    return Avatar(
         body,
         sh_degree=sh_degree,
         refine_pose=optim.refine_pose,
@@ -130,29 +172,27 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         learn_skinning=optim.learn_skinning,
         skinning_every=optim.skinning_every,
         sh_frame=optim.sh_frame,
-        key_light=_vector(key_light, body) if "key light" not in planning.left_out(decisions) else None,
+        key_light=lamp,
         dilation=optim.dilation,
         gaussians=Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness),
     )
-    return Run(settings, folder, data, avatar, perceptual, backend, moments, summary["hash"], stages)
 
 
-def _vector(key_light: KeyLight | None, body: Body) -> Tensor | None:
-    return None if key_light is None else torch.from_numpy(key_light.vector).to(body.v_template)
+def _tell(heading: str, lines: Sequence[str]) -> None:
+    print("\n".join([heading, *(f"  {line}" for line in lines)]))
 
 
-def _check_priors(settings: Settings, decisions: list[Decision]) -> None:
+def _check_priors(plan: Plan, device: torch.device) -> None:
     """Refuses a run whose networks cannot be loaded, before any training; those that it does not need may be absent.
 
     Raises:
         ConfigError: weights or packages are missing.
     """
-    used = {decision.part for decision in decisions if decision.used}
-    stages = stages_to_run(settings)
-    if "optim" in stages and used & {"loss term sds_pose", "loss term sds_can"}:
-        check_score_prior(settings.prior)
-    if "refine" in stages and settings.refine.source == "prior" and "inpainting" in used:
-        check_inpainter(settings.prior, device_of(settings))
+    planned = plan.settings
+    if "optim" in plan.stages and planned.optim.sds.is_used:
+        check_score_prior(planned.prior)
+    if "refine" in plan.stages and planned.refine.source == "prior" and plan.inpaints:
+        check_inpainter(planned.prior, device)
 
 
 def device_of(settings: Settings) -> torch.device:

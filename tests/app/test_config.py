@@ -7,11 +7,18 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 
-from occfusion.config import Settings, load_settings, settings_hash, stages_to_run
+from occfusion.config import (
+    EvaluationSettings,
+    Settings,
+    TrainerSettings,
+    load_settings,
+    settings_hash,
+    stages_to_run,
+)
 from occfusion.data import OcclusionSettings
 from occfusion.errors import ConfigError
 from occfusion.human.densify import Densification
-from occfusion.stages.settings import SdsSettings
+from occfusion.stages.settings import InitSettings, OptimSettings, RefineSettings, SdsSettings
 
 CONF = Path(__file__).parents[2] / "conf"
 
@@ -157,7 +164,19 @@ def test_presets_of_score_distillation() -> None:
 
 
 def test_refinement_as_in_the_paper_densifies_as_gauhuman_does() -> None:
-    assert settings_of("variant=E", "refine=paper").refine.densification == Densification()
+    """GauHuman counts from the first step on, of which the optimisation takes 1200."""
+    densification = settings_of("variant=E", "refine=paper").refine.densification
+    assert densification == Densification(after_step=0, before_step=2201 - 1200)
+
+
+def test_dataclasses_and_files_say_the_same() -> None:
+    """Whoever builds settings in Python trains with the numbers that the command line has."""
+    composed = settings_of()
+    assert composed.optim == OptimSettings()
+    assert composed.refine == RefineSettings()
+    assert composed.init == InitSettings()
+    assert composed.trainer == TrainerSettings()
+    assert composed.evaluation == EvaluationSettings()
 
 
 def test_distillation_is_no_part_of_a_run_without_it() -> None:

@@ -1,12 +1,14 @@
 """What the plan leaves out, decided on made-up frames."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from app.test_config import settings_of
 from occfusion import plan as planning
 from occfusion.config import Settings, optim_hash
-from occfusion.needs import as_planned, box_reason, with_everything
+from occfusion.needs import box_reason, with_everything
 from occfusion.priors.consistency import Motion
 from occfusion.priors.evidence import HIDDEN_SHARE, Evidence
 from occfusion.priors.key_light import KeyLight
@@ -32,8 +34,20 @@ def frames(*shares: float) -> list[Moment]:
     ]
 
 
+LAMP = KeyLight(np.array([0.1, -0.2, 0.1]), 0.04, 0.02, 5.0)
+
+
+def made(settings: Settings, moments: list[Moment] | None) -> planning.Plan:
+    return planning.make_plan(settings, SUMMARY, "torch", moments, LAMP)
+
+
 def used(settings: Settings, moments: list[Moment] | None) -> dict[str, bool]:
-    return {d.part: d.used for d in planning.make_plan(settings, SUMMARY, "torch", moments)}
+    return {d.part: d.used for d in made(settings, moments).decisions}
+
+
+def as_planned(settings: Settings, moments: list[Moment] | None) -> Settings:
+    """The settings that training goes by."""
+    return made(settings, moments).settings
 
 
 @pytest.mark.parametrize(
@@ -50,7 +64,8 @@ def used(settings: Settings, moments: list[Moment] | None) -> dict[str, bool]:
         (("variant=D",), [0.0] * 12, False),
         (("variant=A",), [0.0] * 12, False),
         (("variant=A",), [0.02] * 12, True),
-        (("variant=gauhuman", "optim.pose_knots=4"), [0.0] * 12, True),
+        (("variant=gauhuman", "optim.pose_knots=4"), [0.0] * 12, False),
+        (("variant=gauhuman", "recipe=paper", "optim.pose_knots=4"), [0.0] * 12, True),
         (("optim.refine_pose=false", "optim.learn_skinning=false", "optim.pose_knots=0"), [0.02] * 12, False),
     ],
 )
@@ -66,7 +81,7 @@ def test_networks_mend_poses_that_do_not_fit(
 
 
 def test_the_plain_baseline_corrects_no_frame_by_itself() -> None:
-    settings = settings_of("variant=gauhuman")
+    settings = settings_of("variant=gauhuman", "recipe=paper")
     assert settings.optim.pose_knots == 0
     assert not used(settings, frames(*[0.02] * 12))["pose corrections frame by frame"]
 
@@ -115,7 +130,7 @@ def test_what_is_left_out_does_not_keep_results_apart() -> None:
 def test_the_share_of_the_picture_is_measured() -> None:
     (reason,) = (
         d.reason
-        for d in planning.make_plan(settings_of(), SUMMARY, "torch", frames(*[0.0] * 3))
+        for d in made(settings_of(), frames(*[0.0] * 3)).decisions
         if d.part.startswith("pixels outside")
     )
     # the body's 20 x 24 px and 8 more on each side, of 100 x 50
@@ -199,8 +214,8 @@ def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
 
 def test_a_full_plan_says_what_the_frames_hide_and_that_it_takes_all_for_occluded() -> None:
     moments = with_everything(frames(*[0.0] * 9, *[0.5] * 3))
-    plan = planning.make_plan(settings_of("plan=full"), SUMMARY, "torch", moments)
-    (reason,) = (d.reason for d in plan if d.part == "complete masks")
+    plan = made(settings_of("plan=full"), moments)
+    (reason,) = (d.reason for d in plan.decisions if d.part == "complete masks")
     assert reason.startswith("3 of 12 training frames hide more than 3%")
     assert "takes all of them" in reason
 
@@ -218,13 +233,79 @@ VECTOR = np.array([0.1, -0.2, 0.1])
         (("plan=full",), KeyLight(VECTOR, 0.04, 0.038, 5.0), True),
         (("plan=full",), KeyLight(VECTOR, 0.04, 0.02, 500.0), False),
         (("variant=D",), None, False),
-        (("variant=D", "optim.key_light=true"), KeyLight(VECTOR, 0.04, 0.02, 5.0), True),
+        (("variant=D",), KeyLight(VECTOR, 0.04, 0.02, 5.0), True),
+        (("variant=D", "optim.key_light=false"), KeyLight(VECTOR, 0.04, 0.02, 5.0), False),
+        (("recipe=paper",), KeyLight(VECTOR, 0.04, 0.02, 5.0), False),
     ],
 )
 def test_a_lamp_is_used_where_it_explains_what_changes(
     overrides: tuple[str, ...], found: KeyLight | None, lit: bool
 ) -> None:
     plan = planning.make_plan(settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), found)
-    (decision,) = (d for d in plan if d.part == "key light")
-    assert decision.used == lit
-    assert found is None or f"{found.explained:.0%}" in decision.reason
+    (decision,) = (d for d in plan.decisions if d.part == "key light")
+    assert decision.used == lit == plan.settings.optim.key_light
+    asked = settings_of(*overrides).optim.key_light
+    assert found is None or not asked or f"{found.explained:.0%}" in decision.reason
+
+
+def test_variants_differ_by_their_stages_and_terms_alone() -> None:
+    """`A` to `E` have the same numbers, of either recipe; what differs is in Table 2."""
+    for recipe in ("ours", "paper"):
+        base = settings_of("variant=E", f"recipe={recipe}")
+        for variant in "ABCD":
+            settings = settings_of(f"variant={variant}", f"recipe={recipe}")
+            assert settings.refine == base.refine and settings.init == base.init
+            assert replace(settings.optim, sds=base.optim.sds) == base.optim, (variant, recipe)
+
+
+def test_the_papers_recipe_leaves_nothing_out_and_adds_nothing() -> None:
+    settings = settings_of("recipe=paper")
+    optim, refine = settings.optim, settings.refine
+    assert settings.plan == "full" and settings.output_dir.endswith("/E-paper")
+    assert (optim.dilation, optim.thickness, optim.observed_colors, optim.key_light) == (
+        0.3,
+        0.0,
+        False,
+        False,
+    )
+    assert (optim.gaussians, optim.pose_knots, optim.rates.scales, optim.rates.pose) == (0, 0, 5e-3, 5e-5)
+    assert optim.perceptual_every == refine.perceptual_every == 1
+    assert (refine.lambda_rgb, refine.lambda_mask, refine.lambda_gen, refine.lambda_lpips) == (
+        1.0,
+        0.1,
+        0.1,
+        0.2,
+    )
+    assert (optim.sds.lambda_pose, optim.sds.lambda_can) == (2e5, 2e5)
+    moments = with_everything(frames(*[0.0] * 9, *[0.5] * 3))
+    parts = used(settings, moments)
+    for part in ("complete masks", "inpainting", "loss term sds_pose", "pose refinement", "skinning network"):
+        assert parts[part], part
+    assert settings_of("recipe=paper", "plan=needed").plan == "needed"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "rounds"),
+    [
+        ((), [200, 400, 600]),
+        (("optim.steps=1800",), [200, 400, 600]),  # its own steps count, whatever came before
+        (("speed=fast",), [200, 400]),
+        (("speed=best",), [200, 400, 600, 800, 1000]),
+        (("refine=paper",), [200, 400, 600, 800, 1000]),
+        (("trainer.max_steps=300",), [200]),
+        (("trainer.max_steps=200",), []),
+        (("refine.densification.after_step=600",), []),
+    ],
+)
+def test_a_schedule_that_never_fires_is_named(overrides: tuple[str, ...], rounds: list[int]) -> None:
+    plan = made(settings_of(*overrides), frames(*[0.5] * 8, *[0.0] * 4))
+    (decision,) = (d for d in plan.decisions if d.part == "densification in the refinement")
+    assert decision.used == bool(rounds) == plan.settings.refine.densify
+    told = f"rounds at steps {', '.join(map(str, rounds))} of" if rounds else "no round falls into"
+    assert told in decision.reason
+
+
+def test_the_plan_is_told_in_a_few_lines() -> None:
+    lines = made(settings_of(), frames(*[0.5] * 8, *[0.0] * 12)).lines()
+    assert lines[0] == "stages: init, optim, refine" and 3 <= len(lines) <= 6
+    assert any(line.startswith("pose refinement: no; ") for line in lines)

@@ -51,6 +51,11 @@ class Densification:
     max_gaussians: int = 60_000
     min_gaussians: int = 100
 
+    def rounds(self, steps: int) -> list[int]:
+        """Returns after which of a stage's finished steps a round belongs; the stage has `steps`."""
+        due = range(0, min(self.before_step, steps), self.every)
+        return [step for step in due if step > self.after_step]
+
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             if not value >= 0:

@@ -37,7 +37,7 @@ class AvatarStage(Stage):
         densifier: densification; None exactly when `settings.densify` is false.
         backend: rasteriser backend.
         seed: decides the perceptual crops, step by step.
-        steps_before: of earlier stages: rates, SH bands and densification follow the count of all steps.
+        steps_before: of earlier stages: rates and SH bands follow the count of all steps, densification its own.
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class AvatarStage(Stage):
         """
         step, settings = self.steps_before + self.global_step, self._schedule
         if self.densifier is not None:
-            self.densifier.step(step, self.avatar, self._adam(), seed=self.seed)
+            self.densifier.step(self.global_step, self.avatar, self._adam(), seed=self.seed)
         if step % VERTEX_REFRESH == 0 and step > 0:
             self.avatar.refresh_vertex_index()
         degree = min(settings.sh_degree, step // settings.sh_every)

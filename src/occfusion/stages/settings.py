@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from occfusion.human.densify import Densification
-from occfusion.splat import Limits
 
 
 @dataclass
@@ -20,7 +19,7 @@ class RateSettings:
     sh0: float = 2.5e-3
     sh_rest: float = 1.25e-4
     opacity: float = 5e-2
-    scales: float = 5e-2
+    scales: float = 1e-2
     quats: float = 1e-3
     pose: float = 3e-4
     pose_turns: float = 2e-4
@@ -103,8 +102,8 @@ class SdsSettings:
         start_step: first step with the term.
     """
 
-    lambda_pose: float = 0.0
-    lambda_can: float = 0.0
+    lambda_pose: float = 1e4
+    lambda_can: float = 1e4
     posed_probability: float = 0.75
     weighting: str = "sigma2"
     schedule: str = "annealed"
@@ -135,7 +134,7 @@ class AvatarSettings:
         sh_degree: highest band of spherical harmonics.
         sh_every: steps from one band to the next, counted over all stages.
         densify: whether Gaussians are added, joined and removed.
-        densification: thresholds and schedule, counted over all stages.
+        densification: thresholds and schedule, in steps of the stage.
         rates: Adam's.
         rates_at_end: factor on all rates at the stage's last step, reached exponentially; 1: none.
     """
@@ -180,10 +179,10 @@ class OptimSettings(AvatarSettings):
     lambda_lpips: float = 1e3
     gaussians: int = 20_000
     sh_frame: str = "canonical"
-    dilation: float = Limits.dilation
-    thickness: float = 0.0
-    observed_colors: bool = False
-    key_light: bool = False
+    dilation: float = 0.02
+    thickness: float = 0.002
+    observed_colors: bool = True
+    key_light: bool = True
     refine_pose: bool = True
     pose_knots: int = 4
     learn_skinning: bool = True
@@ -222,5 +221,11 @@ class RefineSettings(AvatarSettings):
     lambda_gen: float = 0.1
     lambda_lpips: float = 0.1
     lambda_ssim: float = 0.2
+    perceptual_every: int = 16
     densify: bool = True
+    densification: Densification = field(
+        default_factory=lambda: Densification(
+            after_step=0, before_step=601, gradient=4e-4, from_body=0.15, max_gaussians=15_000
+        )
+    )
     rates_at_end: float = 0.3
