@@ -1,4 +1,4 @@
-"""Metrics of renderings against truth, region by region; the recipe in prose is `docs/metrics.md`."""
+"""Metrics of renderings against truth, region by region; the recipe in prose is `docs/reference/metrics.md`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The image metrics that are reported; definitions and region recipes are in `docs/metrics.md`."""
+"""The image metrics that are reported; definitions and region recipes are in `docs/reference/metrics.md`."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from occfusion.stages.settings import AvatarSettings
 
 HIDDEN_STAGES = ("init",)
 """Stages that are about what is hidden alone: left out where nothing is. The refinement is not one of them: without
-references it still trains on, with more Gaussians (docs/leaving_out.md has what that gains)."""
+references it still trains on, with more Gaussians (docs/experiments/004-leaving-out.md has what that gains)."""
 
 MOSTLY_HIDDEN = 0.9
 """Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on."""
@@ -25,7 +25,8 @@ MOSTLY_HIDDEN = 0.9
 LIT = 0.1
 """Of the differences between sightings of a point of the body: a lamp that explains less is left out."""
 DETERMINED = 50.0
-"""Condition up to which the frames tell where a lamp is; embedded scenes have 4 to 8 (docs/key_light.md)."""
+"""Condition up to which the frames tell where a lamp is; embedded scenes have 4 to 8
+(docs/experiments/015-key-light.md)."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,8 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
 def is_perceptual_term_deferred(settings: Settings) -> bool:
     """Returns whether the optimisation goes without its perceptual term, as the refinement that follows has one.
 
-    The end of the refinement is the same (docs/leaving_out.md), and the term is half of what the optimisation costs.
+    The end of the refinement is the same (docs/experiments/004-leaving-out.md), and the term is half of what the
+    optimisation costs.
     """
     both = min(settings.optim.lambda_lpips, settings.refine.lambda_lpips) > 0
     return both and _may_leave_out(settings)

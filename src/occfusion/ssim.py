@@ -1,4 +1,4 @@
-"""Structural similarity as a map, with an analytic backward; the definition is in `docs/metrics.md`."""
+"""Structural similarity as a map, with an analytic backward; the definition is in `docs/reference/metrics.md`."""
 
 from __future__ import annotations
 

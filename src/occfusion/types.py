@@ -1,6 +1,6 @@
 """The words of the system: plain records that pass between the layers.
 
-Conventions (`docs/conventions.md`): metres; OpenCV camera axes (x right, y down, z forward);
+Conventions (`docs/reference/conventions.md`): metres; OpenCV camera axes (x right, y down, z forward);
 `viewmat` maps world to camera; pixel centres lie at +0.5; quaternions are w, x, y, z.
 """
 

@@ -91,7 +91,7 @@ def test_which_launchers_run_jobs_at_once() -> None:
 
 
 def test_slurm_jobs_are_composed_as_the_guide_says(tmp_path: Path) -> None:
-    """No Slurm here: what would be submitted is composed, with the options that docs/fleets.md names."""
+    """No Slurm here: what would be submitted is composed, with the options that docs/guide/many_runs.md names."""
     options = [
         "timeout_min=240",
         "cpus_per_task=4",

@@ -1,6 +1,6 @@
 """A dense float64 renderer to measure errors against: no tiles, no factorisation, no early exit.
 
-Written from the image formation in `docs/conventions.md` and sharing no code with the backends: the inverse
+Written from the image formation in `docs/reference/conventions.md` and sharing no code with the backends: the inverse
 of the projected covariance is explicit, every pixel meets every Gaussian that can reach its row with an alpha
 that counts, and autograd differentiates each line.
 """

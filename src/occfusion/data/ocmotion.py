@@ -2,7 +2,7 @@
 
 What is measured: PSNR and SSIM on the visible pixels of the training frames; the perceptual distance after
 both pictures have been laid on black outside the visible mask, cropped to the person's padded box
-(region `visible` of `docs/metrics.md`). There is no held-out truth: other cameras, where the raw release is
+(region `visible` of `docs/reference/metrics.md`). There is no held-out truth: other cameras, where the raw release is
 used, are occluded too.
 """
 

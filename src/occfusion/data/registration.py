@@ -56,7 +56,7 @@ SHIFT_DIGITS, SCALE_DIGITS = 3, 5
 """A correction is rounded, so that another machine's last digits make no other run of it."""
 SYSTEMATIC_SHIFT = 3e-4
 """Of the person's size. Eleven embedded people below number 100 with exact cameras: 0.02 px across and 0.09 px down
-at most, of 190 (docs/registration.md)."""
+at most, of 190 (docs/method/registration.md)."""
 SYSTEMATIC_SCALE = 1.2e-3
 """The same people: 0.0014 at most."""
 

@@ -30,7 +30,8 @@ AROUND = 0.02
 """Of the person's size: how far from the hull of hidden parts the person may be hidden as well."""
 FITTING = 1e-3
 """Of the body: where less lies outside the masks of whole people, poses need no mending. Embedded scenes with exact
-poses have 4e-5 at most, those with an estimator's errors and ragged masks 2.6e-2 at least (docs/leaving_out.md)."""
+poses have 4e-5 at most, those with an estimator's errors and ragged masks 2.6e-2 at least
+(docs/experiments/004-leaving-out.md)."""
 FRAMES_TO_JUDGE = 10
 """Fewer frames of a whole person say too little about how well poses fit."""
 SLIVER_SHARE = 3 * FITTING

@@ -1,4 +1,4 @@
-"""The named constants of the image formation, each with its reason (`docs/conventions.md`)."""
+"""The named constants of the image formation, each with its reason (`docs/reference/conventions.md`)."""
 
 from __future__ import annotations
 

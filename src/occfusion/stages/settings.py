@@ -11,7 +11,18 @@ from occfusion.human.densify import Densification
 class RateSettings:
     """Adam's learning rates by parameter group (GauHuman).
 
-    `pose` is of the network, `pose_turns` and `pose_places` of the corrections frame by frame, radians and metres.
+    Attributes:
+        means: of the centres, at the first step.
+        means_final: of the centres, at the last step.
+        sh0: of the colours.
+        sh_rest: of the higher harmonics.
+        opacity: of the opacities, as logits.
+        scales: of the sizes, as logarithms.
+        quats: of the turns.
+        pose: of the network of pose corrections.
+        pose_turns: of the corrections frame by frame, radians.
+        pose_places: of the same, metres.
+        skinning: of the network of skinning weights.
     """
 
     means: float = 1.6e-4
@@ -157,6 +168,10 @@ class OptimSettings(AvatarSettings):
 
     Attributes:
         pixels: `visible`: the paper's M; `all`: the whole crop.
+        lambda_rgb: weight of the colours' L1.
+        lambda_mask: weight of the occupancy's L2 against the masks.
+        lambda_ssim: weight of the structural term.
+        lambda_lpips: weight of the perceptual term.
         mask_hidden: weight of complete masks in the mask term where the person may be hidden, 0..1; the paper: 1.
         gaussians: at the start, at least (`Gaussians.on_body`); 0: one on each vertex of the body.
         sh_frame: see `Avatar`.
@@ -202,6 +217,11 @@ class RefineSettings(AvatarSettings):
         mask_target: what the mask term holds these pixels to: `outline`: where poses fit as given, the avatar's own at
             the hand-over; `complete`: the complete masks, as in the paper, with the weights above.
         mask_outline: weight of the own outline, 0..1.
+        lambda_rgb: weight of the colours' L1 on visible pixels.
+        lambda_mask: weight of the occupancy's L2 against the masks.
+        lambda_gen: weight of the L1 towards the references.
+        lambda_lpips: weight of the perceptual term.
+        lambda_ssim: weight of the structural term; the paper has none here.
         gen_pixels: where references count: `unseen`: where the paper's R shows what no frame of the video does;
             `hidden`: in all of R.
         lpips_pixels: what the SSIM and perceptual terms look at: `visible`; `all`: at those pixels of the
