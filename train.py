@@ -1,4 +1,7 @@
-"""Trains an avatar: `python train.py [overrides]`, a Hydra application over `conf/`."""
+"""Trains an avatar: `python train.py [overrides]`, a Hydra application over `conf/`.
+
+Its `@hydra.main` is in `occfusion.cli.train`; the fish shell completes only scripts that name it.
+"""
 
 import sys
 from pathlib import Path

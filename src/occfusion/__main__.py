@@ -1,15 +1,20 @@
-"""`python -m occfusion VERB`: everything but training."""
+"""`occfusion VERB` and `python -m occfusion VERB`: everything there is to do."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
+from collections.abc import Sequence
 from types import ModuleType
 
 from occfusion.errors import OccfusionError
 
+TRAIN = "train"
+"""The verb that Hydra reads the rest of the command line for, as for `python train.py`."""
 VERBS = {
+    TRAIN: "train an avatar: overrides as for `python train.py`",
     "synth": "write an embedded scene to disk in ZJU-MoCap's layout",
     "check": "inspect a data folder: what is there, what is wrong with it, what to do",
     "convert-body": "write a body of SMPL's family, as it was downloaded, into a safe file, once",
@@ -22,6 +27,37 @@ VERBS = {
 def main(arguments: list[str] | None = None) -> int:
     """Runs one verb; returns the process's exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments[:1] == ["-sc"]:
+        return _complete(arguments)
+    try:
+        return _train(arguments[1:]) if arguments[:1] == [TRAIN] else _run_verb(arguments)
+    except OccfusionError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def _train(arguments: Sequence[str]) -> int:
+    from occfusion.cli.train import find_config_dir
+    from occfusion.cli.train import main as train
+
+    return train(find_config_dir(), arguments)
+
+
+def _complete(arguments: Sequence[str]) -> int:
+    """Answers a shell that completes `occfusion …`: Hydra's rule for shells asks the program, not its verb."""
+    program, _, rest = os.environ.get("COMP_LINE", "").lstrip().partition(" ")
+    verb, space, overrides = rest.lstrip().partition(" ")
+    if not space:
+        print("\n".join(VERBS))
+    elif verb == TRAIN:
+        os.environ["COMP_LINE"] = f"{program} {overrides}"
+        return _train(arguments)
+    return 0
+
+
+def _run_verb(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="occfusion", description=__doc__)
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, text in VERBS.items():
@@ -30,13 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
         if arguments[:1] == [name]:
             _module(name).add_arguments(sub)
     parsed = parser.parse_args(arguments)
-    try:
-        return int(_module(parsed.verb).run(parsed))
-    except OccfusionError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
+    return int(_module(parsed.verb).run(parsed))
 
 
 def _module(verb: str) -> ModuleType:

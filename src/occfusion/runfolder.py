@@ -161,6 +161,8 @@ def _identity_in(marker: Path) -> Any:
 
 def describe_environment() -> dict[str, Any]:
     """Returns versions, hardware, threads, revision and command of this process."""
+    # an installed package may lie in a folder of somebody else's repository, whose revision says nothing of it
+    is_tracked = _git("ls-files", "--error-unmatch", Path(__file__).name) is not None
     return {
         "occfusion": occfusion.__version__,
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
@@ -172,8 +174,8 @@ def describe_environment() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),
         "accelerator": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
-        "git_revision": _git("rev-parse", "HEAD"),
-        "git_changed": bool(_git("status", "--porcelain")),
+        "git_revision": _git("rev-parse", "HEAD") if is_tracked else None,
+        "git_changed": bool(_git("status", "--porcelain")) if is_tracked else None,
     }
 
 

@@ -1,4 +1,4 @@
-"""`python train.py`: composes the configuration, runs it, and turns errors into one plain message."""
+"""`python train.py`, `occfusion train`: composes the configuration, runs it, turns errors into one plain message."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import sys
 import traceback
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from omegaconf import DictConfig
 
 from occfusion.cli.launchers import is_parallel, missing_launcher
 from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, record_job, record_start
-from occfusion.errors import OccfusionError
+from occfusion.errors import ConfigError, OccfusionError
 from occfusion.processes import is_helper
 
 NOT_IN_A_MULTIRUN = (
@@ -38,19 +39,43 @@ class _State:
     stopped: str | None = None
 
 
-def main(config_dir: Path) -> int:
-    """Runs the Hydra application over `config_dir`; returns the process's exit code."""
+def find_config_dir() -> Path:
+    """Returns the folder of the configuration: within an installed package, in the repository beside `src/`.
+
+    Raises:
+        ConfigError: it is in neither place.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "conf", package.parents[1] / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise ConfigError(
+        f"{package / 'conf'}: config.yaml is missing, the package is not installed whole; install it anew, from a "
+        "wheel or with `pip install -e .` in the repository"
+    )
+
+
+def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
+    """Runs the Hydra application; returns the process's exit code.
+
+    Args:
+        config_dir: folder of the configuration.
+        arguments: what Hydra is to read; None: the whole command line.
+    """
+    whole = sys.argv
+    given = whole[1:] if arguments is None else list(arguments)
     state = _State()
     OUTCOME.exit_code = 0
     if is_helper():  # one process tells the user enough; errors are another matter
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    if (problem := missing_launcher(sys.argv[1:])) is not None:
+    if (problem := missing_launcher(given)) is not None:
         print(f"ConfigError: {problem}", file=sys.stderr)
         return 1
 
     # Hydra would print a traceback and exit by itself; a user's mistake deserves one plain line
     @hydra.main(version_base="1.3", config_path=str(config_dir), config_name="config")
     def application(config: DictConfig) -> None:
+        sys.argv = whole  # runs keep it, and helpers of this process are started with it
         settings = HydraConfig.get()
         overrides = list(settings.overrides.task)
         if settings.mode == RunMode.MULTIRUN:
@@ -64,12 +89,15 @@ def main(config_dir: Path) -> int:
         else:
             state.exit_code = _job(config, overrides, 0).exit_code
 
+    sys.argv = [whole[0], *given]  # Hydra reads nothing else
     try:
         application()
     except (SystemExit, KeyboardInterrupt) as end:  # Hydra has said why, or the user knows
         if OUTCOME.sweep is None:
             raise
         end_of_broken_multirun(130 if isinstance(end, KeyboardInterrupt) else 1)
+    finally:
+        sys.argv = whole
     return OUTCOME.exit_code or state.exit_code
 
 
