@@ -1,0 +1,83 @@
+"""The protocols of all data sets: the table in `docs/guide/data.md`, and `docs/reference/protocols.md`."""
+
+from __future__ import annotations
+
+import inspect
+
+from settings_page import GENERATED
+
+from occfusion.data import ocmotion_protocol, presets, video_presets
+
+MARKS = ("<!-- protocols -->\n", "<!-- /protocols -->")
+"""Between them the table stands."""
+
+
+def protocol_table() -> str:
+    """Returns the table of all protocols, for the page on data."""
+    lines = [
+        "| protocol | training camera | training frames | held-out frames | held-out cameras | masks | size | strip |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name in presets.PRESETS:
+        said = presets.describe(name)
+        keys = (
+            "training camera",
+            "training frames",
+            "held-out frames",
+            "held-out cameras",
+            "masks",
+            "longer side",
+        )
+        lines.append(f"| `zju`, `{name}` | {' | '.join(said[key] for key in keys)} | {said['strip']} |")
+    for name in ocmotion_protocol.PROTOCOLS:
+        said = ocmotion_protocol.describe_ocmotion(name)
+        lines.append(
+            f"| `ocmotion`, `{name}` | the cut's | {said['training frames']} | {said['held-out frames']} | none "
+            f"| {said['masks']} | {said['size']} | none |"
+        )
+    for name in video_presets.PROTOCOLS:
+        lines.append(
+            f"| `video`, `{name}` | the only one | by subject | by subject, not all apart | the same | masks "
+            "| as asked | none |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def protocols_page() -> str:
+    """Returns the page on where protocols were read, and what the papers' code does otherwise."""
+    parts = [
+        "# Protocols",
+        "",
+        GENERATED,
+        "",
+        "The table of what each does: [data](../guide/data.md#protocols).",
+        "",
+    ]
+    for title, names, describe in (
+        ("ZJU-MoCap", presets.PRESETS, presets.describe),
+        ("OcMotion", ocmotion_protocol.PROTOCOLS, ocmotion_protocol.describe_ocmotion),
+    ):
+        parts += [f"## {title}", "", "| protocol | read in | what the code does otherwise |", "|---|---|---|"]
+        parts += [
+            f"| `{name}` | {said['source']} | {said['differs']} |"
+            for name in names
+            for said in [describe(name)]
+        ]
+        parts.append("")
+    parts += ["## PeopleSnapshot and NeuMan", "", inspect.cleandoc(video_presets.__doc__ or ""), ""]
+    parts += ["| subject | training pictures | held-out pictures |", "|---|---|---|"]
+    parts += [
+        f"| `{name}` | {_in_words(ranges.train)} | {_in_words(ranges.test)} |"
+        for name, ranges in video_presets.INSTANT_AVATAR.items()
+    ]
+    return "\n".join(parts) + "\n"
+
+
+def _in_words(pictures: range) -> str:
+    return f"{pictures.start} to {pictures[-1]} by {pictures.step}"
+
+
+def with_protocols(page: str) -> str:
+    """Returns the page on data with the table of protocols between its marks."""
+    before, rest = page.split(MARKS[0])
+    return before + MARKS[0] + protocol_table() + MARKS[1] + rest.split(MARKS[1])[1]
