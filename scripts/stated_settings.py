@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import re
 import types
@@ -23,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 CONF = ROOT / "conf"
 
 
+@functools.cache
 def composed(*overrides: str) -> dict[str, Any]:
     """Returns the configuration that a command line composes, as plain data."""
     with initialize_config_dir(str(CONF), version_base="1.3"):

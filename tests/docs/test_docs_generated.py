@@ -1,0 +1,75 @@
+"""Pages that follow from the code are what the code says now."""
+
+import importlib
+import sys
+
+import pytest
+from doc_pages import DOCS, ROOT
+
+from occfusion.data import ocmotion_protocol, presets, video_presets
+
+AGAIN = "run: python scripts/write_reference_pages.py"
+
+
+@pytest.fixture(scope="module")
+def scripts():
+    """Imports a module of `scripts/`, whose modules import each other by name."""
+    sys.path.insert(0, str(ROOT / "scripts"))
+    yield importlib.import_module
+    sys.path.remove(str(ROOT / "scripts"))
+
+
+@pytest.fixture(scope="module")
+def settings_text(scripts):
+    return scripts("settings_page").settings_page()
+
+
+def test_settings_page(settings_text):
+    assert settings_text == (DOCS / "reference" / "settings.md").read_text(encoding="utf-8"), AGAIN
+
+
+def test_every_setting_is_on_the_page(scripts, settings_text):
+    facts = scripts("stated_settings")
+    for overrides in ((), ("dataset=zju",), ("dataset=video",), ("dataset=ocmotion",), ("prior=sd15",)):
+        for key, _ in facts.flat(facts.composed(*overrides)):
+            is_choice = key.endswith((".name", "._target_")) or key.startswith("variant.")
+            assert is_choice or f"| `{key}` |" in settings_text, key
+
+
+def test_ranges_are_those_that_the_checks_apply(scripts):
+    limits = scripts("stated_settings").stated_limits()
+    assert limits["optim.sh_degree"] == "0 to 3"
+    assert limits["plan"] == "needed, full"
+    assert limits["optim.densification.every"] == "at least 1"
+    assert limits["optim.lambda_rgb"] == "at least 0"
+
+
+def test_sentences(scripts, tmp_path):
+    facts = scripts("stated_settings")
+    file = tmp_path / "a.yaml"
+    file.write_text(
+        "# of the file\na: 1  # one. Two\nb:      # group\n  # above\n  c: 2\nd: 3\n", encoding="utf-8"
+    )
+    assert facts.commented(file) == {"a": "one", "b": "group", "b.c": "above"}
+    text = "T.\n\nAttributes:\n    a: first, e.g. This.\n        Second. Third.\n    b: other.\n\nc: no"
+    assert facts.described(text) == {"a": "first, e.g. This", "b": "other"}
+    assert facts.first_sentence("of a lamp (docs/method/optim.md); A | B") == "of a lamp; A or B"
+
+
+def test_a_setting_without_a_sentence_is_an_error(scripts):
+    page = scripts("settings_page")
+    with pytest.raises(page.ConfigError, match=r"a\.b"):
+        page._table([page.Setting("a.b", "int", "1", "", "")])
+
+
+def test_protocols_page(scripts):
+    text = scripts("protocol_pages").protocols_page()
+    assert text == (DOCS / "reference" / "protocols.md").read_text(encoding="utf-8"), AGAIN
+
+
+def test_table_of_protocols(scripts):
+    page = (DOCS / "guide" / "data.md").read_text(encoding="utf-8")
+    assert scripts("protocol_pages").with_protocols(page) == page, AGAIN
+    for names in (presets.PRESETS, ocmotion_protocol.PROTOCOLS, video_presets.PROTOCOLS):
+        for name in names:
+            assert f", `{name}` |" in page, name
