@@ -7,7 +7,7 @@ PYTEST_ARGS ?= -m "not slow"
 # test files are dealt out to this many processes
 WORKERS ?= 2
 
-.PHONY: install demo test lint
+.PHONY: install demo test lint lock
 install: $(VENV)/.installed
 
 $(VENV)/.installed: pyproject.toml
@@ -26,3 +26,11 @@ lint: install
 	$(VENV)/bin/python -m ruff check .
 	$(VENV)/bin/python -m ruff format --check .
 	$(VENV)/bin/python -m mypy
+
+# requirements.lock holds what the package needs, requirements-dev.lock also what its tests need: the newest releases of
+# today, those in the files kept where they still fit. `rm *.lock` first takes the newest of all.
+LOCK = echo "$(TORCH)" | $(VENV)/bin/uv --config-file .ci/lock.toml pip compile --quiet pyproject.toml -
+lock: install
+	$(VENV)/bin/python -m pip install --progress-bar off "uv>=0.13"
+	$(LOCK) --output-file requirements.lock
+	$(LOCK) --extra dev --extra sd15 --extra fleet --constraints requirements.lock --output-file requirements-dev.lock

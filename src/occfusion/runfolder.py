@@ -165,7 +165,7 @@ def describe_environment() -> dict[str, Any]:
     is_tracked = _git("ls-files", "--error-unmatch", Path(__file__).name) is not None
     return {
         "occfusion": occfusion.__version__,
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": " ".join([Path(sys.argv[0]).name.replace("__main__.py", "occfusion"), *sys.argv[1:]]),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "packages": {name: _version(name) for name in PACKAGES},

@@ -10,6 +10,7 @@ from app.test_command_line import ROOT, run
 from occfusion.__main__ import VERBS, main
 from occfusion.cli import train
 from occfusion.errors import ConfigError
+from occfusion.runfolder import describe_environment
 
 SCRIPT, VERB = (str(ROOT / "train.py"),), ("-m", "occfusion", "train")
 
@@ -58,6 +59,12 @@ def test_hydra_reads_the_overrides_and_jobs_see_the_whole_command(
     assert main() == 7
     assert seen == [(["seed=5"], ["occfusion", "train", "seed=5"])]
     assert sys.argv == ["occfusion", "train", "seed=5"]
+
+
+@pytest.mark.parametrize("program", ["bin/occfusion", "occfusion/__main__.py"])
+def test_a_run_keeps_a_command_that_can_be_typed(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
+    monkeypatch.setattr(sys, "argv", [program, "train", "seed=5"])
+    assert describe_environment()["command"] == "occfusion train seed=5"
 
 
 def test_the_configuration_within_the_package_goes_before_the_one_beside_it(
