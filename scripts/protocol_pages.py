@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 
 from settings_page import GENERATED
 
@@ -28,7 +29,8 @@ def protocol_table() -> str:
             "masks",
             "longer side",
         )
-        lines.append(f"| `zju`, `{name}` | {' | '.join(said[key] for key in keys)} | {said['strip']} |")
+        cells = [re.sub(r"the first \(.*\)", "a stretch, by subject", said[key]) for key in keys]
+        lines.append(f"| `zju`, `{name}` | {' | '.join(cells)} | {said['strip']} |")
     for name in ocmotion_protocol.PROTOCOLS:
         said = ocmotion_protocol.describe_ocmotion(name)
         lines.append(
@@ -57,9 +59,14 @@ def protocols_page() -> str:
         ("ZJU-MoCap", presets.PRESETS, presets.describe),
         ("OcMotion", ocmotion_protocol.PROTOCOLS, ocmotion_protocol.describe_ocmotion),
     ):
-        parts += [f"## {title}", "", "| protocol | read in | what the code does otherwise |", "|---|---|---|"]
         parts += [
-            f"| `{name}` | {said['source']} | {said['differs']} |"
+            f"## {title}",
+            "",
+            "| protocol | read in | training frames | what the code does otherwise |",
+        ]
+        parts += ["|---|---|---|---|"]
+        parts += [
+            f"| `{name}` | {said['source']} | {said['training frames']} | {said['differs']} |"
             for name in names
             for said in [describe(name)]
         ]

