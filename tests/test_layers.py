@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "src" / "occfusion"
 # the parts of the package from the ground up; a part is a module or a folder directly under `occfusion`
 LAYERS = [
     {"types", "errors", "threads", "compilation", "workers"},
-    {"geometry", "splat", "ssim", "losses", "metrics", "files", "memory"},
+    {"geometry", "splat", "ssim", "losses", "metrics", "files", "memory", "checks"},
     {"human", "perceptual"},
     {"synth", "data"},
     {"priors"},

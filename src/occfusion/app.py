@@ -20,6 +20,7 @@ from occfusion.recipes.appearance import Coarse, CoarseScene
 from occfusion.report import write_report
 from occfusion.run_objects import Run, compose_run
 from occfusion.runfolder import at_work
+from occfusion.stages.loggers import check_logger
 from occfusion.tables import print_summary
 
 
@@ -39,6 +40,7 @@ def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[P
     """
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     settings = load_settings(config)
+    check_logger(settings.logger)
     L.seed_everything(settings.seed, verbose=False)
     if settings.stage.name == PRIOR_STAGE:
 

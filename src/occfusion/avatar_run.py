@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import lightning as L
 
 from occfusion import plan as planning
 from occfusion.config import Settings, optim_hash
-from occfusion.data.handful import held_out_handful
+from occfusion.data.handful import held_out_handful, training_handful
 from occfusion.evaluation_run import evaluation_metric
 from occfusion.files.atomic import write_json
 from occfusion.human import load_avatar, save_avatar, write_gaussians_ply
@@ -29,17 +30,22 @@ from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.curve import ErrorCurve
 from occfusion.stages.distil import Distiller
 from occfusion.stages.interruption import Interrupted, SignalGuard
+from occfusion.stages.loggers import Logs, Pictured, Place, make_logs
+from occfusion.stages.losses_log import LOSS_TABLE
 from occfusion.stages.optim import OptimStage
 from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.settings import AvatarSettings
 from occfusion.stages.targets import Doubts
+from occfusion.types import Frame
 
 WARM_UP_SAID = 0.05
 """Seconds from which on the user is told of the rasteriser's warming up."""
 
 CURVE_TABLE = "error_vs_time.csv"
+TABLES = (CURVE_TABLE, LOSS_TABLE)
+"""What a stage leaves in the run folder besides its own folder; it is shared with the stage's result."""
 
 
 def run_stages(run_: Run) -> None:
@@ -93,13 +99,17 @@ def _run_stage(run_: Run, name: str) -> None:
             print(f"{name}: trained before, taken from {shared}")
             run_.avatar = load_avatar(finished, run_.avatar.body)
             write_gaussians_ply(run_.folder / "point_cloud.ply", run_.avatar.gaussians)
-            if (folder / CURVE_TABLE).is_file():
-                shutil.copyfile(folder / CURVE_TABLE, run_.folder / CURVE_TABLE)
+            _copy_tables(folder, run_.folder)
             return
         _train_stage(run_, name)
-        if (run_.folder / CURVE_TABLE).is_file():
-            shutil.copyfile(run_.folder / CURVE_TABLE, folder / CURVE_TABLE)
+        _copy_tables(run_.folder, folder)
         offer(shared, folder, folder / "stage.json", without=("last.ckpt",))
+
+
+def _copy_tables(source: Path, target: Path) -> None:
+    for table in TABLES:
+        if (source / table).is_file():
+            shutil.copyfile(source / table, target / table)
 
 
 def _train_stage(run_: Run, name: str) -> None:
@@ -108,6 +118,9 @@ def _train_stage(run_: Run, name: str) -> None:
     stage, seconds_before = _optim_stage(run_) if name == "optim" else _refine_stage(run_)
     guard = SignalGuard()
     callbacks: list[L.Callback] = [guard, SharedDensification()]
+    checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
+    logs = _logs(run_, name, checkpoint)
+    callbacks += logs.callbacks  # before checkpoints
     if not settings.trainer.fast_dev_run:
         callbacks.append(Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every))
     if settings.evaluation.curve and not is_helper():
@@ -116,8 +129,7 @@ def _train_stage(run_: Run, name: str) -> None:
         callbacks.append(ProgressLine())
     tell_helpers(run_.folder)
     own: AvatarSettings = getattr(settings, name)
-    trainer = _trainer(settings, own.steps, callbacks)
-    checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
+    trainer = _trainer(settings, own.steps, callbacks, logs)
     if name == "optim" and settings.optim.observed_colors and checkpoint is None:
         stage.clock.restore(start_as_observed(run_.avatar, run_.data, run_.backend))
     run_.avatar.train()
@@ -236,7 +248,7 @@ def _hand_over(run_: Run, folder: Path, seconds: float, steps: int) -> None:
     write_json(folder / "stage.json", {"train_seconds": seconds, "steps": steps, "first_pose": first_pose})
 
 
-def _trainer(settings: Settings, steps: int, callbacks: list[L.Callback]) -> L.Trainer:
+def _trainer(settings: Settings, steps: int, callbacks: list[L.Callback], logs: Logs) -> L.Trainer:
     trainer = settings.trainer
     return L.Trainer(
         accelerator=trainer.accelerator,
@@ -245,13 +257,27 @@ def _trainer(settings: Settings, steps: int, callbacks: list[L.Callback]) -> L.T
         max_epochs=-1,
         max_time=trainer.max_time,
         fast_dev_run=trainer.fast_dev_run,
-        logger=False,
+        logger=logs.loggers or False,
         enable_checkpointing=False,
         enable_model_summary=False,
         enable_progress_bar=trainer.enable_progress_bar and not is_helper(),
         callbacks=callbacks,
         **trainer_options(trainer.devices),
     )
+
+
+def _logs(run_: Run, name: str, checkpoint: Path | None) -> Logs:
+    """Returns what logs a stage; one process alone does."""
+    if is_helper():
+        return Logs([], [])
+
+    def views() -> dict[str, Frame]:
+        found = {"training": training_handful(run_.data, 1), "held_out": held_out_handful(run_.data, 1)}
+        return {name: frames[0] for name, frames in found.items() if frames}
+
+    settings = run_.settings
+    place = Place(run_.folder, name, checkpoint, is_trial=settings.trainer.fast_dev_run)
+    return make_logs(settings.logger, place, asdict(settings), Pictured(views, run_.render))
 
 
 def _curve(run_: Run) -> ErrorCurve:

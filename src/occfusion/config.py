@@ -15,12 +15,16 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from occfusion.checks import check_in as _check_in
+from occfusion.checks import check_range as _check_range
 from occfusion.errors import ConfigError
 from occfusion.perceptual import PRECISIONS
 from occfusion.priors.distillation import REDUCTIONS, SCHEDULES, WEIGHTINGS
 from occfusion.stages.settings import (
+    LOGGERS,
     AvatarSettings,
     InitSettings,
+    LoggerSettings,
     OptimSettings,
     PriorTrainingSettings,
     RefineSettings,
@@ -123,6 +127,8 @@ class Settings:
     prior_training: PriorTrainingSettings = field(default_factory=PriorTrainingSettings)
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
+    logger: LoggerSettings = field(default_factory=LoggerSettings)
+    optimized_metric: str = "regions.full.psnr"
     speed: Named = field(default_factory=Named)
     registration: str = "auto"
     plan: str = "needed"
@@ -160,6 +166,7 @@ def settings_hash(settings: Settings) -> str:
     relevant = asdict(settings)
     for key in ("stage", "speed", "recipe", "evaluation", "output_dir", "shared_dir", "prior_training"):
         del relevant[key]
+    del relevant["logger"], relevant["optimized_metric"]
     is_distilled = settings.optim.sds.is_used
     if "refine" not in settings.variant.stages:
         del relevant["refine"]
@@ -214,6 +221,7 @@ def _check_choices(settings: Settings) -> None:
         )
     _check_in("prior.name", str(settings.prior.get("name")), PRIORS)
     _check_in("init.source", settings.init.source, ("prior", "truth"))
+    _check_in("logger.name", settings.logger.name, LOGGERS)
     _check_in("plan", settings.plan, ("needed", "full"))
     _check_in("registration", settings.registration, ("auto", "off"))
     _check_in("refine.source", settings.refine.source, ("prior", "coarse", "truth"))
@@ -238,11 +246,6 @@ def _check_choices(settings: Settings) -> None:
     _check_in("optim.sds.where", sds.where, ("hidden", "everywhere"))
 
 
-def _check_in(key: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise ConfigError(f"setting {key}: {value!r} is not one of {', '.join(allowed)}")
-
-
 def _check_ranges(settings: Settings) -> None:
     optim, trainer, evaluation = settings.optim, settings.trainer, settings.evaluation
     for name, stage, terms in (
@@ -261,6 +264,8 @@ def _check_ranges(settings: Settings) -> None:
     _check_range("trainer.devices", trainer.devices, 1, 1024)
     if trainer.max_steps is not None:
         _check_range("trainer.max_steps", trainer.max_steps, 1, 10_000_000)
+    _check_range("logger.every", settings.logger.every, 1, 10_000_000)
+    _check_range("logger.pictures_every", settings.logger.pictures_every, 0, 10_000_000)
     _check_range("evaluation.training_stride", evaluation.training_stride, 1, 10_000)
     _check_range("evaluation.perceptual_every", evaluation.perceptual_every, 1, 10_000)
     _check_range("evaluation.curve_images", evaluation.curve_images, 1, 1000)
@@ -293,9 +298,3 @@ def _check_sds_ranges(sds: SdsSettings) -> None:
     _check_range("optim.sds.guidance", sds.guidance, 0.0, 1000.0)
     _check_range("optim.sds.every", sds.every, 1, 10_000)
     _check_range("optim.sds.start_step", sds.start_step, 0, 10_000_000)
-
-
-def _check_range(key: str, value: float, low: float, high: float) -> None:
-    # written so that NaN is refused as well
-    if not low <= value <= high or math.isinf(value):
-        raise ConfigError(f"setting {key}: {value} is outside the allowed range {low} to {high}")

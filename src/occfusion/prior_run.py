@@ -25,6 +25,7 @@ from occfusion.recipes.silhouette import SilhouetteRecipe
 from occfusion.runfolder import claim_run_folder
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.interruption import Interrupted, SignalGuard
+from occfusion.stages.loggers import Place, make_logs
 from occfusion.stages.prior import Batch, PriorStage
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.settings import PriorTrainingSettings
@@ -58,7 +59,10 @@ def run_prior_training(
     stage = PriorStage(recipe.make_net(), training, seed=settings.seed)
     guard = SignalGuard()
     curve = PriorCurve(folder / "error_vs_time.csv", training, recipe)
-    callbacks: list[L.Callback] = [guard, curve]
+    checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
+    logged = Place(folder, stage.name, checkpoint, is_trial=settings.trainer.fast_dev_run)
+    logs = make_logs(settings.logger, logged, asdict(settings))
+    callbacks: list[L.Callback] = [guard, curve, *logs.callbacks]
     if not settings.trainer.fast_dev_run:
         callbacks.append(Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every))
     if settings.trainer.enable_progress_bar:
@@ -66,11 +70,10 @@ def run_prior_training(
     trainer = L.Trainer(
         accelerator=settings.trainer.accelerator, devices=1, max_epochs=-1,
         max_steps=settings.trainer.max_steps or training.steps, max_time=settings.trainer.max_time,
-        fast_dev_run=settings.trainer.fast_dev_run, logger=False, enable_checkpointing=False,
+        fast_dev_run=settings.trainer.fast_dev_run, logger=logs.loggers or False, enable_checkpointing=False,
         enable_model_summary=False, enable_progress_bar=settings.trainer.enable_progress_bar, callbacks=callbacks,
     )  # fmt: skip
     loader = DataLoader(_Steps(recipe.batch, lambda: trainer.global_step), batch_size=None)
-    checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
     with guard:
         trainer.fit(stage, loader, ckpt_path=checkpoint, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:

@@ -38,7 +38,7 @@ MARKER_PATIENCE = 1.0
 """Seconds in which a marker that another process is writing may still be empty (disks without links)."""
 LOCK = ".at_work"
 TRIAL_SUFFIX = "-trial"
-TAKEN_OVER = (*STAGES, "masks", "inpainted", "metrics.json", "error_vs_time.csv")
+TAKEN_OVER = (*STAGES, "masks", "inpainted", "metrics.json", "error_vs_time.csv", "losses.csv")
 """What a later call on the same folder would take over instead of doing it."""
 
 

@@ -17,6 +17,7 @@ from omegaconf import DictConfig
 
 from occfusion.cli.launchers import is_parallel, missing_launcher
 from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, record_job, record_start
+from occfusion.cli.optimized import answer, check_optimized_metric, is_asked
 from occfusion.errors import ConfigError, OccfusionError
 from occfusion.processes import is_helper
 
@@ -74,7 +75,7 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
 
     # Hydra would print a traceback and exit by itself; a user's mistake deserves one plain line
     @hydra.main(version_base="1.3", config_path=str(config_dir), config_name="config")
-    def application(config: DictConfig) -> None:
+    def application(config: DictConfig) -> float | None:
         sys.argv = whole  # runs keep it, and helpers of this process are started with it
         settings = HydraConfig.get()
         overrides = list(settings.overrides.task)
@@ -85,9 +86,12 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
                 config.trainer.enable_progress_bar = (
                     False  # lines of several processes would run into each other
                 )
-            record_job(sweep, _job_of_many(config, overrides, number, state))
-        else:
-            state.exit_code = _job(config, overrides, 0).exit_code
+            job = _job_of_many(config, overrides, number, state)
+            record_job(sweep, job)
+            return answer(job, config.optimized_metric, is_asked=is_asked(settings.sweeper))
+        job = _job(config, overrides, 0)
+        state.exit_code = job.exit_code
+        return answer(job, config.optimized_metric, is_asked=False)
 
     sys.argv = [whole[0], *given]  # Hydra reads nothing else
     try:
@@ -126,6 +130,7 @@ def _job(config: DictConfig, overrides: list[str], number: int) -> JobRecord:
     chosen = any(override.lstrip("+").startswith("output_dir=") for override in overrides)
     called = " ".join(overrides)
     try:
+        check_optimized_metric(config.optimized_metric)
         folder = _finished_before(config, chosen) or _run(config, chosen)
     except OccfusionError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)

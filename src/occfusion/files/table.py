@@ -12,10 +12,16 @@ from occfusion.files.atomic import write_bytes
 
 
 def write_table(path: Path | str, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Writes a CSV whole or not at all; floats with six digits, None as an empty field."""
+    """Writes a CSV whole or not at all; values as `table_bytes` has them."""
+    write_bytes(path, table_bytes(columns, rows))
+
+
+def table_bytes(columns: Sequence[str], rows: Iterable[Mapping[str, Any]], *, header: bool = True) -> bytes:
+    """Returns rows as CSV: floats with six digits, what is None or missing as an empty field."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
+    if header:
+        writer.writeheader()
     for row in rows:
         writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
-    write_bytes(path, text.getvalue().encode())
+    return text.getvalue().encode()

@@ -88,6 +88,10 @@ class AvatarStage(Stage):
         """Returns the number of Gaussians."""
         return f"{self.num_gaussians / 1000:.1f}k gaussians"
 
+    def counts(self) -> dict[str, int]:
+        """Returns the number of Gaussians."""
+        return {"gaussians": self.num_gaussians}
+
     # -- one step ---------------------------------------------------------------------------------------------
 
     def training_step(self, frame: Frame, _batch_idx: int) -> Tensor:
@@ -95,11 +99,12 @@ class AvatarStage(Stage):
         self._frame_name = frame.name
         rendering, box = self._render_crop(frame)
         terms = self.terms(frame, rendering, box)
-        self.keep_terms(terms)
         check_finite_terms(terms, self.name, self.global_step, frame.name)
         # a frame may have no term at all, of which backward could not be called
         nothing = 0.0 * rendering.alpha.sum()
-        return sum((self.weight(name) * value for name, value in terms.items()), start=nothing)
+        total = sum((self.weight(name) * value for name, value in terms.items()), start=nothing)
+        self.keep_terms(terms, total)
+        return total
 
     def _render_crop(self, frame: Frame) -> tuple[Rendering, Box]:
         camera = frame.camera

@@ -13,22 +13,38 @@ from occfusion.stages.clock import TrainingClock
 
 
 class Stage(L.LightningModule):
-    """An interface: a training stage with a name and a clock."""
+    """An interface: a training stage with a name and a clock.
+
+    Attributes:
+        step_terms: the loss terms of the last step, unweighted; those that it did not ask are not in it.
+        step_total: their weighted sum.
+    """
 
     name: str
 
     def __init__(self) -> None:
         super().__init__()
         self.clock = TrainingClock()
+        self.step_terms: dict[str, Tensor] = {}
+        self.step_total = torch.zeros(())
         self._terms: dict[str, Tensor] = {}
+
+    def counts(self) -> dict[str, int]:
+        """Returns what is counted of the thing in training, by the names of the loss table's columns, or nothing."""
+        return {}
 
     def progress_note(self) -> str:
         """Returns what the progress line says of the thing in training, or nothing."""
         return ""
 
-    def keep_terms(self, terms: Mapping[str, Tensor]) -> None:
-        """Remembers the terms of this step for the progress line; a term not built this step keeps its last value."""
-        self._terms.update({name: value.detach() for name, value in terms.items()})
+    def keep_terms(self, terms: Mapping[str, Tensor], total: Tensor) -> None:
+        """Remembers the terms of this step and their weighted sum.
+
+        For the progress line, a term not built this step keeps its last value.
+        """
+        self.step_terms = {name: value.detach() for name, value in terms.items()}
+        self.step_total = total.detach()
+        self._terms.update(self.step_terms)
 
     def last_terms(self) -> dict[str, float]:
         """Returns the latest value of each loss term, unweighted."""

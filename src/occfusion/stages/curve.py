@@ -93,6 +93,13 @@ class ErrorCurve(L.Callback):
                 "peak_memory_mb": round(peak_memory_mb(), 1),
             }
             self._write([*self._rows(), row])
+            known = {
+                f"held_out/{key}": value
+                for key, value in full.items()
+                if key in COLUMNS and value is not None
+            }
+            for logger in trainer.loggers:
+                logger.log_metrics(known, trainer.global_step)
         self._last_step = trainer.global_step
 
     def _rows(self) -> list[dict[str, Any]]:

@@ -69,7 +69,7 @@ class PriorStage(Stage, Generic[Net]):
         predicted = self.net(diffuse(clean, noise, t), t, batch.conditions)
         error = (predicted - velocity(clean, noise, t)).square() * batch.weight
         terms = {"v": error.sum() / batch.weight.sum()}
-        self.keep_terms(terms)
+        self.keep_terms(terms, terms["v"])
         check_finite_terms(terms, self.name, step, "batch")
         return terms["v"]
 

@@ -133,6 +133,28 @@ class SdsSettings:
         return self.lambda_pose > 0.0 or self.lambda_can > 0.0
 
 
+LOGGERS = ("csv", "tensorboard", "wandb")
+
+
+@dataclass
+class LoggerSettings:
+    """Where training is logged besides `losses.csv`.
+
+    Attributes:
+        name: `csv`: nowhere; `tensorboard`; `wandb`.
+        every: steps from one point of a logger's curves to the next.
+        pictures_every: steps from one picture to the next; 0: none.
+        project: of Weights & Biases.
+        offline: whether Weights & Biases only writes files.
+    """
+
+    name: str = "csv"
+    every: int = 8
+    pictures_every: int = 200
+    project: str = "occfusion"
+    offline: bool = False
+
+
 @dataclass
 class AvatarSettings:
     """What the stages that train an avatar have in common: schedules and rates.

@@ -1,0 +1,76 @@
+"""What a job returns to Hydra: the figure of `metrics.json` that a sweeper makes as large or small as it can."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from occfusion.checks import check_in
+from occfusion.cli.multirun import JobRecord
+from occfusion.errors import ConfigError
+
+KNOWN = {
+    "regions": {
+        region: dict.fromkeys(("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm"))
+        for region in ("full", "box", "visible", "hidden")
+    },
+    "train_seconds": dict.fromkeys(("init", "optim", "refine", "total")),
+    "gaussians": None,
+    "peak_memory_mb": None,
+}
+"""The figures of `metrics.json`, as it nests them."""
+PLAIN_SWEEPER = "BasicSweeper"
+"""Hydra's own, which asks for nothing."""
+
+
+def check_optimized_metric(name: str) -> None:
+    """Refuses what `metrics.json` never has.
+
+    Raises:
+        ConfigError: with what there is.
+    """
+    check_in("optimized_metric", name, tuple(_names(KNOWN)))
+
+
+def read_metric(folder: Path, name: str) -> float | None:
+    """Returns a figure of a run's `metrics.json`; None where it could not be computed."""
+    value = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    for key in name.split("."):
+        value = value.get(key)
+        if value is None:
+            return None
+    return float(value)
+
+
+def answer(job: JobRecord, name: str, *, is_asked: bool) -> float | None:
+    """Returns what a job gives to the sweeper; None where it has no such figure and nobody asks for it.
+
+    Args:
+        job: that has ended.
+        name: of the figure, checked by `check_optimized_metric`.
+        is_asked: whether the sweeper goes by the answer.
+
+    Raises:
+        ConfigError: the sweeper asks, and there is none.
+    """
+    value = None if job.folder is None else read_metric(Path(job.folder), name)
+    if value is not None or not is_asked:
+        return value
+    why = job.error or (
+        "this job measures nothing" if job.folder is None else f"{job.folder}/metrics.json has null there"
+    )
+    raise ConfigError(f"{job.overrides}: no {name} for the sweeper: {why}; see optimized_metric")
+
+
+def is_asked(sweeper: Mapping[str, Any]) -> bool:
+    """Returns whether a sweeper goes by what jobs return."""
+    return not str(sweeper.get("_target_", PLAIN_SWEEPER)).endswith(PLAIN_SWEEPER)
+
+
+def _names(tree: Mapping[str, Any], before: str = "") -> list[str]:
+    found = []
+    for key, value in tree.items():
+        found += _names(value, f"{before}{key}.") if value else [before + key]
+    return found
