@@ -190,10 +190,14 @@ def test_every_layout_trains_from_folder_to_figures(name: str, written: Written,
 
 # --- what training gains -----------------------------------------------------------------------------
 
-GAIN = 10.0
-"""PSNR in decibels that 60 steps a stage must gain over one on the training views. Every family gains 12.3 (19.0 to
-31.3). With body poses the other way round it is 7.4, with the axes of joints exchanged 6.8, with `Th` for the pelvis
-6.4, with the root turned about the origin in place of the pelvis 0.7, and all of them end below 20.1."""
+START, GAIN = 16.0, 10.0
+"""PSNR in decibels on the training views: what one step a stage must reach, and what 60 must gain over it.
+
+In every family one step reaches 19.0, as Gaussians start in the observed colours, and 60 gain 12.3. A wrong convention
+misses the start and mostly the gain: body poses the other way round 12.7 and 8.9, axes of joints exchanged 13.3 and
+8.1, the root turned about the origin in place of the pelvis 9.8 and 2.0, all of the body shifted by its pelvis at rest
+11.6 and 15.5: a constant shift is learnt, so that the gain alone would not tell.
+"""
 
 
 @pytest.mark.slow
@@ -212,7 +216,7 @@ def test_training_gains_what_wrong_conventions_do_not(name: str, written: Writte
         metrics = train(written, tmp_path / f"{steps} steps", *chosen, *light, *asked)
         assert metrics["regions"]["visible"]["images"] == FRAMES
         psnr.append(metrics["regions"]["visible"]["psnr"])
-    assert psnr[1] - psnr[0] > GAIN, psnr
+    assert psnr[0] > START and psnr[1] - psnr[0] > GAIN, psnr
 
 
 # --- the body file -----------------------------------------------------------------------------------
