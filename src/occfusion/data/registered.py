@@ -19,6 +19,8 @@ HELD_OUT_VIEWS = 60
 """Held-out pictures that are asked whether they are off like the training pictures, evenly spread."""
 AGREED = 0.5
 """Of the training camera's correction: what held-out cameras must ask for to be given it as well."""
+CONFIRMED = 4.0
+"""Standard errors of what they ask for, from which on they confirm what the training camera alone leaves uncertain."""
 
 
 @dataclass(frozen=True)
@@ -41,15 +43,18 @@ class SceneRegistration:
         if self.measured is None:
             return "the outlines of body and masks tell too little of a shift of the pictures"
         text = self.measured.text()
+        if self.held_out is not None:
+            share, error = self.held_out
+            asked = f"held-out cameras ask for {share:.2f} ± {error:.2f} of it"
         if not self.corrections:
-            return f"{text}; nothing is certainly off"
-        taken = self.measured.correction
+            return f"{text}; nothing is certainly off" + ("" if self.held_out is None else f": {asked}")
+        is_certain = not self.measured.correction.is_none
+        taken = self.measured.correction if is_certain else self.measured.suspected
         text += f"; corrected by ({taken.shift[0]:+.2f}, {taken.shift[1]:+.2f}) px and {1 + taken.scale:.4f}"
         if self.held_out is None:
             return text
-        share, error = self.held_out
         whose = "in all cameras" if len(self.corrections) > 1 else "in the training camera alone"
-        return f"{text}, {whose}: held-out cameras ask for {share:.2f} ± {error:.2f} of it"
+        return f"{text}, {whose}: {asked}"
 
 
 def register_scene(
@@ -58,7 +63,8 @@ def register_scene(
     """Returns what the outlines of bodies and masks say of the cameras.
 
     What is corrected in the training camera is measured on training pictures alone. Other cameras are given the same
-    correction if they need it, for a convention is one for all; their masks say that, and nothing else.
+    correction if they need it, for a convention is one for all. Their masks say that, and they confirm a shift that
+    wrong poses might explain as well: these look another way from each side. They say nothing else.
 
     Args:
         prepared: the scene.
@@ -70,15 +76,20 @@ def register_scene(
     shown = [_training_view(prepared, views, poser, k) for k in _spread(len(prepared.train), MOST_FRAMES)]
     rest = poser.rest_vertices(views.parameters(prepared.train[0]).betas)
     measured = register(shown, faces, rest)
-    if measured is None or measured.correction.is_none:
+    if measured is None or measured.suspected.is_none:
         return SceneRegistration(measured, {})
-    lens = views.lens(own)
-    correction = measured.correction.resized(lens.source[0] / lens.size[0])
-    corrections = {own: correction}
+    lens, is_certain = views.lens(own), not measured.correction.is_none
+    found = measured.correction if is_certain else measured.suspected
+    correction = found.resized(lens.source[0] / lens.size[0])
+    corrections = {own: correction} if is_certain else {}
     others = [view for view in prepared.test_views if view[1] != own]
     asked = [others[k] for k in _spread(len(others), HELD_OUT_VIEWS)]
     held_out = _agreement(asked, correction, views, poser, faces, rest)
-    if held_out is not None and held_out[0] >= AGREED:
+    if (
+        held_out is not None
+        and held_out[0] >= AGREED
+        and (is_certain or held_out[0] >= CONFIRMED * held_out[1])
+    ):
         corrections = {camera: correction for camera in (own, *prepared.cameras)}
     return SceneRegistration(measured, corrections, held_out)
 

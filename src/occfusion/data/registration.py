@@ -50,8 +50,10 @@ MOST_NOISE = 0.015
 """Of the person's size: outlines that agree no better are not of the same thing. Embedded people have 0.001 where poses
 are exact and 0.01 at most where they are estimated; masks of random pixels have 0.023."""
 MOST_FRAMES = 100
-CERTAIN, LIKELY = 5.0, 2.0
-"""Errors from which on something is off for certain; and from which on, where something is, a part of it is taken."""
+CERTAIN, SUSPECTED, LIKELY = 5.0, 3.0, 2.0
+"""Errors from which on something is off for certain; from which on other cameras are asked whether they see it too; and
+from which on, where something is off, a part of it is taken. Poses that an estimator gave wander about the truth, and
+not quite about it: embedded people with such poses and exact cameras have 4.8 at most (docs/method/registration.md)."""
 SHIFT_DIGITS, SCALE_DIGITS = 3, 5
 """A correction is rounded, so that another machine's last digits make no other run of it."""
 SYSTEMATIC_SHIFT = 3e-4
@@ -71,6 +73,7 @@ class Registration:
         shift_error: standard errors of `shift`.
         scale_error: of `scale`.
         correction: what is certain of it, or likely where something is; nothing if nothing is certain.
+        suspected: the same from a lower certainty on, for others to confirm.
         frames: pictures that were measured.
         points: of outlines in them.
     """
@@ -80,6 +83,7 @@ class Registration:
     shift_error: tuple[float, float]
     scale_error: float
     correction: Correction
+    suspected: Correction
     frames: int
     points: int
 
@@ -122,7 +126,8 @@ def register(views: Sequence[View], faces: Ints, rest: Floats) -> Registration |
         scale=scale,
         shift_error=(float(error[0]), float(error[1])),
         scale_error=float(error[2]),
-        correction=_certain(total, error),
+        correction=_taken(total, error, CERTAIN),
+        suspected=_taken(total, error, SUSPECTED),
         frames=len(views),
         points=len(data),
     )
@@ -257,10 +262,10 @@ class _Fit:
         return (terms.T @ weighted).toarray(), np.asarray(weighted.T @ self._offsets[rows])
 
 
-def _certain(total: Floats, error: Floats) -> Correction:
-    """Returns what is certain; and where something is, what is likely. A shift is taken whole: x and y are one."""
+def _taken(total: Floats, error: Floats, least: float) -> Correction:
+    """Returns nothing, or all that is likely where something has a certainty of `least`. A shift is taken whole."""
     certainty = np.abs(total) / error
-    if certainty.max() < CERTAIN:
+    if certainty.max() < least:
         return NONE
     is_shifted, is_scaled = certainty[:2].max() >= LIKELY, certainty[2] >= LIKELY
     x, y, scale = total * (is_shifted, is_shifted, is_scaled)
