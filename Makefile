@@ -27,8 +27,8 @@ lint: install
 	$(VENV)/bin/python -m ruff format --check .
 	$(VENV)/bin/python -m mypy
 
-# requirements.lock holds what the package needs, requirements-dev.lock also what its tests need: the newest releases of
-# today, those in the files kept where they still fit. `rm *.lock` first takes the newest of all.
+# requirements.lock holds what the package needs, requirements-dev.lock also what its tests need. Releases that are in the
+# files stay where they still fit; without the files the newest are taken.
 LOCK = echo "$(TORCH)" | $(VENV)/bin/uv --config-file .ci/lock.toml pip compile --quiet pyproject.toml -
 lock: install
 	$(VENV)/bin/python -m pip install --progress-bar off "uv>=0.13"
