@@ -19,6 +19,12 @@ SHORT = (
     "optim.lambda_lpips=0",
     "optim.pose_knots=0",
     "plan=full",
+    # round grey Gaussians without a lamp, so that nothing but the poses is to be mended
+    "optim.key_light=false",
+    "optim.observed_colors=false",
+    "optim.thickness=0",
+    "optim.dilation=0.3",
+    "optim.rates.scales=0.05",
 )
 
 

@@ -62,7 +62,7 @@ def test_the_lamp_of_a_scene_is_found_and_kept_with_the_avatar(
 
 
 def test_without_a_lamp_nothing_is_looked_for(tmp_path: Path) -> None:
-    folder = train(tmp_path, SPEC, "variant=A")
+    folder = train(tmp_path, SPEC, "variant=A", "optim.key_light=false")
     plan = {d["part"]: d for d in json.loads((folder / "plan.json").read_text())["decisions"]}
     assert not plan["key light"]["used"]
     run = load_run(folder)

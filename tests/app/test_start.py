@@ -52,7 +52,7 @@ def test_the_whole_system_starts_with_the_colours_of_the_video(train: Train) -> 
 
 
 def test_the_paper_starts_grey(train: Train) -> None:
-    folder, _ = train("variant=A", *STILL)
+    folder, _ = train("variant=A", "recipe=paper", *STILL)
     assert (start_of(folder) == 0.0).all()
 
 

@@ -41,10 +41,9 @@ def start(self):
 OptimStage.on_train_start = start
 with initialize_config_dir(sys.argv[1], version_base="1.3"):
     app.run(compose("config", sys.argv[2:]), folder_chosen_by_user=True)
-# No stage learns colours alone: the kernel for that is compiled for those who ask for it, by themselves. So are those
-# that evaluations alone need: no training waits for them.
+# Those that evaluations alone need are compiled for these: no training waits for them.
 assert len(at_start) >= 10, at_start
-others = ("blend_colors_backward_part", "pool_places", "sum_distances")
+others = ("pool_places", "sum_distances")
 expected = {k: int(k not in others) for k in at_start}
 assert {k: len(s) for k, s in at_start.items()} == expected, at_start
 assert compiled() == at_start, (compiled(), at_start)

@@ -393,7 +393,7 @@ def test_bad_settings(body):
         Avatar(body, sh_degree=4)
     pose = make_pose(25)
     with pytest.raises(DataError, match="betas"):
-        Avatar(body)(Pose(torch.zeros(12), pose.global_orient, pose.body_pose, pose.transl), CENTRE)
+        Avatar(body)(Pose(torch.ones(12), pose.global_orient, pose.body_pose, pose.transl), CENTRE)
 
 
 def test_covariances_are_symmetric_and_rotations_of_quaternions_matter(body):

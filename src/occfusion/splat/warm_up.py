@@ -15,9 +15,8 @@ SIZE = 16
 def warm_up(backend: str, device: torch.device) -> float:
     """Renders a tiny picture forwards and backwards; returns the seconds that it took.
 
-    After this no call in float32 compiles anything, but for the gradient of colours alone, which no stage asks for:
-    `numba` needs about ten seconds where its cache is empty and one where it is not, `gsplat` builds or loads its
-    extension.
+    After this no call in float32 compiles anything: `numba` needs about ten seconds where its cache is empty and one
+    where it is not, `gsplat` builds or loads its extension.
 
     Args:
         backend: a resolved backend, not `auto`.
@@ -26,13 +25,16 @@ def warm_up(backend: str, device: torch.device) -> float:
     started = time.monotonic()
     with torch.inference_mode(False), torch.enable_grad():
         means = torch.tensor([[0.0, 0.0, 1.0]], device=device, requires_grad=True)
+        colors = torch.ones(1, 3, device=device, requires_grad=True)
         K = torch.tensor([[SIZE, 0.0, SIZE / 2], [0.0, SIZE, SIZE / 2], [0.0, 0.0, 1.0]], device=device)
-        rendering = rasterize(
-            means, None, None, torch.ones(1, device=device), torch.ones(1, 3, device=device),
-            torch.eye(4, device=device), K, SIZE, SIZE,
-            covariances=0.01 * torch.eye(3, device=device)[None], backend=backend,
-        )  # fmt: skip
-        (rendering.rgb.sum() + rendering.alpha.sum()).backward()
+        # what a stage learns; and colours alone, by which those that the video shows are gathered at the start
+        for centres, shades in ((means, colors.detach()), (means.detach(), colors)):
+            rendering = rasterize(
+                centres, None, None, torch.ones(1, device=device), shades,
+                torch.eye(4, device=device), K, SIZE, SIZE,
+                covariances=0.01 * torch.eye(3, device=device)[None], backend=backend,
+            )  # fmt: skip
+            (rendering.rgb.sum() + rendering.alpha.sum()).backward()
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.monotonic() - started
