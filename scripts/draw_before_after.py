@@ -16,13 +16,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from occfusion.compose import make_body, make_data
 from occfusion.data.handful import held_out_handful, training_handful
+from occfusion.evaluation.pictures import captioned, to_uint8
 from occfusion.files.atomic import write_png
 from occfusion.human import Avatar
-from occfusion.pictures import captioned, to_uint8
-from occfusion.render import render_frame
-from occfusion.runs import load_run
+from occfusion.human.rendering import render_frame
+from occfusion.run.compose import make_body, make_data
+from occfusion.run.loaded import load_run
 from occfusion.types import Frame
 
 MARGIN = 0.08  # of the person's height

@@ -22,7 +22,6 @@ from stated_settings import (
     value_in_words,
 )
 
-from occfusion import config as schema
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.errors import ConfigError
 from occfusion.inpaint.embedded import EmbeddedInpainterSettings
@@ -30,6 +29,7 @@ from occfusion.inpaint.sd15_settings import Sd15InpaintSettings
 from occfusion.priors.embedded import EmbeddedSettings
 from occfusion.priors.sd15_score import Sd15ScoreSettings
 from occfusion.priors.sd15_settings import Sd15Settings
+from occfusion.settings import schema as schema
 
 GENERATED = "*Written by `scripts/write_reference_pages.py`; change the code or `conf/`, and run it again.*"
 CHOICES_ALONE = (schema.Named, schema.VariantSettings)

@@ -16,9 +16,9 @@ from unittest.mock import patch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from occfusion import config as schema
 from occfusion.errors import ConfigError
 from occfusion.human.densify import Densification
+from occfusion.settings import schema as schema
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF = ROOT / "conf"

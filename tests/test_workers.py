@@ -6,7 +6,7 @@ import time
 import pytest
 import torch
 
-from occfusion.workers import spread
+from occfusion.cpu.workers import spread
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from hydra import compose, initialize_config_dir
 
-from occfusion import app
+from occfusion.run import app
 from occfusion.synth import SceneSpec, write_scene
 
 CONF = Path(__file__).parents[2] / "conf"

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from occfusion import runfolder
-from occfusion.config import Settings, VariantSettings
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes
-from occfusion.runfolder import at_work, claim_run_folder
-from occfusion.sharing import offer, sole_maker, take
+from occfusion.run import folder as runfolder
+from occfusion.run.folder import at_work, claim_run_folder
+from occfusion.run.sharing import offer, sole_maker, take
+from occfusion.settings.schema import Settings, VariantSettings
 
 SPAWN = multiprocessing.get_context("spawn")
 ROUNDS = 20

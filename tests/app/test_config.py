@@ -7,7 +7,10 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 
-from occfusion.config import (
+from occfusion.data import OcclusionSettings
+from occfusion.errors import ConfigError
+from occfusion.human.densify import Densification
+from occfusion.settings.schema import (
     EvaluationSettings,
     Settings,
     TrainerSettings,
@@ -15,10 +18,7 @@ from occfusion.config import (
     settings_hash,
     stages_to_run,
 )
-from occfusion.data import OcclusionSettings
-from occfusion.errors import ConfigError
-from occfusion.human.densify import Densification
-from occfusion.stages.settings import InitSettings, OptimSettings, RefineSettings, SdsSettings
+from occfusion.settings.stages import InitSettings, OptimSettings, RefineSettings, SdsSettings
 
 CONF = Path(__file__).parents[2] / "conf"
 

@@ -10,10 +10,11 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from occfusion import avatar_run, run_objects
 from occfusion.errors import NumericsError
 from occfusion.priors import embedded_score
 from occfusion.priors.embedded_score import EmbeddedScore
+from occfusion.run import objects as run_objects
+from occfusion.run import stages as avatar_run
 from occfusion.stages.distil import Distiller
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
@@ -82,7 +83,7 @@ def test_the_whole_system_leaves_it_out_where_masks_are_complete(
     train(*refine, "plan=full", folder="full")
     assert calls
     calls.clear()
-    monkeypatch.setattr("occfusion.needs.MOSTLY_HIDDEN", 0.01)
+    monkeypatch.setattr("occfusion.plan.decisions.MOSTLY_HIDDEN", 0.01)
     train(*refine, folder="hidden")
     assert calls
 

@@ -17,8 +17,8 @@ from occfusion.priors.calibration import STILL, Calibration, calibrate, measure_
 from occfusion.priors.masks import MaskPrior, Observation
 from occfusion.priors.moments import Moment, look
 from occfusion.priors.weights import SILHOUETTE, load_silhouette_net, save_net
+from occfusion.settings.stages import InitSettings
 from occfusion.stages.init import InitStage, mask_path
-from occfusion.stages.settings import InitSettings
 from occfusion.types import Frame
 
 SCENE = "001-clean"

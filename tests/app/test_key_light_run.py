@@ -12,11 +12,11 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from occfusion import app
-from occfusion.compose import make_body, make_data
-from occfusion.init_run import look_at_training_frames
 from occfusion.priors.key_light import find_key_light
-from occfusion.runs import load_run
+from occfusion.run import app
+from occfusion.run.compose import make_body, make_data
+from occfusion.run.loaded import load_run
+from occfusion.run.masks import look_at_training_frames
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.synth.light import AMBIENT, KEY_DIRECTION
 

@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 
 from data import layout_writers as writers
 from data.layout_writers import Source
-from occfusion import app
+from occfusion.run import app
 from occfusion.synth import SceneSpec, write_scene
 
 CONF = Path(__file__).parents[2] / "conf"

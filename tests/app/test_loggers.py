@@ -14,11 +14,11 @@ import torch
 from app.test_losses_log import rows_of
 from app.test_run import assert_same, parameters
 from occfusion.errors import ConfigError
+from occfusion.settings.stages import LoggerSettings
 from occfusion.stages import loggers
 from occfusion.stages.interruption import SignalGuard
 from occfusion.stages.loggers import beside_truth, check_logger
 from occfusion.stages.losses_log import LOSS_TABLE
-from occfusion.stages.settings import LoggerSettings
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 

@@ -56,7 +56,7 @@ def sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     Plugins.instance().register(Maximiser)
 
     def run(*overrides: str) -> int:
-        monkeypatch.setattr("occfusion.app.run_in_folder", job)
+        monkeypatch.setattr("occfusion.run.app.run_in_folder", job)
         monkeypatch.chdir(tmp_path)
         monkeypatch.setattr(
             sys,

@@ -7,10 +7,10 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from occfusion import app
-from occfusion.compose import make_body, make_data
 from occfusion.human import Avatar
-from occfusion.runs import load_run
+from occfusion.run import app
+from occfusion.run.compose import make_body, make_data
+from occfusion.run.loaded import load_run
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.synth.scene import Scene
 

@@ -18,7 +18,7 @@ from occfusion.inpaint.sources import CoarsePictures
 from occfusion.inpaint.weights import load_appearance_net
 from occfusion.priors.weights import load_silhouette_net, save_net
 from occfusion.recipes.appearance import VERSION, AppearanceRecipe, coarse_scenes
-from occfusion.stages.settings import PriorTrainingSettings
+from occfusion.settings.stages import PriorTrainingSettings
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 TINY = ("stage=prior", "prior_training.widths=[8,16]", "prior_training.depth=1")
@@ -65,7 +65,7 @@ def test_the_appearance_recipe_trains_its_coarse_avatars_once(
     def fail(*_: object) -> None:
         raise AssertionError("a coarse avatar was trained again")
 
-    monkeypatch.setattr("occfusion.app.train_coarse", fail)
+    monkeypatch.setattr("occfusion.run.app.train_coarse", fail)
     again = train(*options)[1]
     assert again["validation"] == pytest.approx(card["validation"], rel=1e-4), (
         "a finished run lost its figures"
@@ -94,7 +94,7 @@ def test_the_corpus_shows_what_the_refinement_asks_about(
     (scene,) = coarse_scenes(1)
     shard = np.load(folder / "corpus" / scene.scene / "planes.npy")
     recorder = Recorder()
-    monkeypatch.setattr("occfusion.refine_run._make_inpainter", lambda *_: recorder)
+    monkeypatch.setattr("occfusion.run.references._make_inpainter", lambda *_: recorder)
     how = {"kind": scene.occlusion, "share": scene.share, "fraction": scene.fraction}
     train(
         *small_scene(tmp_path), "variant=E", "stage=refine", "refine.steps=1", "dataset.cameras=2",

@@ -11,8 +11,8 @@ import torch
 from safetensors.torch import load_file
 
 from app.test_multirun import COMMAND, ENVIRONMENT
+from occfusion.cpu.processes import helped_folder
 from occfusion.data.sampling import StepSampler
-from occfusion.processes import helped_folder
 
 RECORDER = Path(__file__).with_name("two_processes.py")
 DENSE = ["optim.densify=true", "optim.densification.after_step=1", "optim.densification.every=2"]

@@ -41,7 +41,7 @@ class Green(Inpainter):
 @pytest.fixture
 def green(monkeypatch: pytest.MonkeyPatch) -> Green:
     made = Green()
-    monkeypatch.setattr("occfusion.refine_run.make_inpainter", lambda *_: made)
+    monkeypatch.setattr("occfusion.run.references.make_inpainter", lambda *_: made)
     return made
 
 

@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 
 from data import layout_writers as writers
 from data.layout_writers import Source
-from occfusion import app
+from occfusion.run import app
 from occfusion.synth import SceneSpec, write_scene
 
 CONF = Path(__file__).parents[2] / "conf"

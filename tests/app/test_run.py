@@ -158,8 +158,8 @@ def test_same_seed_same_avatar_other_seed_another(train: Train) -> None:
 def test_non_finite_loss_stops_and_keeps_the_last_good_state(
     train: Train, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from occfusion import losses
     from occfusion.errors import NumericsError
+    from occfusion.quality import losses
 
     original, calls = losses.l2, []
 
@@ -211,7 +211,7 @@ def test_a_scene_without_occlusion_asks_no_prior(train: Train, monkeypatch: pyte
     def fail(*_: object) -> None:
         raise AssertionError("a prior was made although nothing is hidden")
 
-    monkeypatch.setattr("occfusion.init_run.make_mask_prior", fail)
+    monkeypatch.setattr("occfusion.run.masks.make_mask_prior", fail)
     folder, _ = train("variant=B", "optim.steps=2", "dataset.occlusion.kind=none")
     plan = json.loads((folder / "plan.json").read_text())
     decision = next(d for d in plan["decisions"] if d["part"] == "complete masks")

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from occfusion import avatar_run, init_run
-from occfusion.sharing import offer, shared_folder, take
+from occfusion.run import masks as init_run
+from occfusion.run import stages as avatar_run
+from occfusion.run.sharing import offer, shared_folder, take
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 MASKS_ALONE = ("stage=init", "init.source=truth")

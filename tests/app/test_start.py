@@ -12,10 +12,10 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from occfusion.compose import make_body, make_data
 from occfusion.data.handful import spread
-from occfusion.render import render_frame
-from occfusion.runs import load_run
+from occfusion.human.rendering import render_frame
+from occfusion.run.compose import make_body, make_data
+from occfusion.run.loaded import load_run
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 STILL = ("optim.steps=1", "optim.rates.sh0=0", "optim.key_light=false", "optim.gaussians=0", "stage=optim")

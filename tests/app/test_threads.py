@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from occfusion.threads import SPINS, share_cores
+from occfusion.cpu.threads import SPINS, share_cores
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from occfusion import avatar_run
+from occfusion.run import stages as avatar_run
 from occfusion.splat import warm_up
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
@@ -20,7 +20,7 @@ CASE = """
 import sys
 from hydra import compose, initialize_config_dir
 from numba.core.registry import CPUDispatcher
-from occfusion import app
+from occfusion.run import app
 from occfusion.stages.optim import OptimStage
 
 def compiled():

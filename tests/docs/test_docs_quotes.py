@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 import occfusion
 from occfusion.__main__ import VERBS
-from occfusion.config import load_settings
+from occfusion.settings.schema import load_settings
 
 TOKEN = re.compile(r"[a-z_0-9]+(\.[a-z_0-9]+)*=\S+")
 MOST_WORDS = 8000

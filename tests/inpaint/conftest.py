@@ -10,7 +10,7 @@ import torch
 
 from made_up_person import made_up_camera
 from occfusion.human import Avatar, Body
-from occfusion.render import render_cloud
+from occfusion.human.rendering import render_cloud
 from occfusion.types import Frame, Pose
 from oracles.people import make_arrays
 

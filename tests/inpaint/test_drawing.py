@@ -11,12 +11,12 @@ from torch import Tensor
 from made_up_partial import made_up_partial
 from occfusion.human import embedded_body
 from occfusion.human.avatar import Avatar
+from occfusion.human.rendering import canonical_alpha, outline, render_frame
 from occfusion.inpaint.accumulation import accumulate
 from occfusion.inpaint.partial import take_partial
-from occfusion.render import canonical_alpha, outline, render_frame
+from occfusion.settings.stages import OptimSettings
 from occfusion.splat import Limits, rasterize
 from occfusion.stages.optim import OptimStage
-from occfusion.stages.settings import OptimSettings
 from occfusion.types import Camera, Cloud, Frame, Pose
 
 SIZE = 48

@@ -16,9 +16,9 @@ from occfusion.files.atomic import write_png
 from occfusion.human import embedded_body
 from occfusion.human.avatar import Avatar
 from occfusion.inpaint.partial import KNOWN
+from occfusion.settings.stages import RefineSettings
 from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
 from occfusion.stages.refine import RefineStage
-from occfusion.stages.settings import RefineSettings
 from occfusion.stages.targets import Doubts, Masks
 from occfusion.types import Frame, Pose, Rendering
 

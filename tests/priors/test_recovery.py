@@ -17,9 +17,9 @@ from occfusion.priors.embedded_score import EmbeddedScore
 from occfusion.priors.hiding import half_plane
 from occfusion.priors.moments import look
 from occfusion.priors.views import CANONICAL_ANGLES, view_canonical
+from occfusion.settings.stages import SdsSettings
 from occfusion.splat import rasterize
 from occfusion.stages.distil import Distiller
-from occfusion.stages.settings import SdsSettings
 from occfusion.synth.dress import dress
 from occfusion.synth.fullbody import bone_transforms, load_full_body, skin
 from occfusion.synth.subject import make_subject

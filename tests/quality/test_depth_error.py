@@ -14,10 +14,10 @@ import torch
 
 from occfusion.data.true_surface import true_surface
 from occfusion.data.zju import ZjuDataModule
-from occfusion.evaluate import evaluate_image, summarise
+from occfusion.evaluation.evaluate import evaluate_image, summarise
 from occfusion.files.arrays import load_npy
 from occfusion.human import embedded_body
-from occfusion.metrics import depth_error
+from occfusion.quality.metrics import depth_error
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.types import Rendering, Truth
 from oracles import quality as oracle

@@ -7,7 +7,13 @@ import pytest
 import torch
 
 from occfusion.errors import ConfigError
-from occfusion.evaluate import ImageRow, evaluate_frames, evaluate_image, summarise, write_per_image_csv
+from occfusion.evaluation.evaluate import (
+    ImageRow,
+    evaluate_frames,
+    evaluate_image,
+    summarise,
+    write_per_image_csv,
+)
 from occfusion.types import Camera, Frame, Pose, Rendering, Truth
 from oracles import quality as oracle
 from quality.pictures import noise

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from occfusion import losses
+from occfusion.quality import losses
 from oracles import quality as oracle
 from quality.pictures import noise
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torchmetrics.functional.image import peak_signal_noise_ratio
 
-from occfusion import metrics
+from occfusion.quality import metrics
 from oracles import quality as oracle
 from quality.pictures import noise
 

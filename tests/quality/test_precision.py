@@ -7,9 +7,9 @@ import torch
 
 from app.test_config import settings_of
 from occfusion.errors import ConfigError
-from occfusion.needs import Decision
 from occfusion.perceptual import precision, training_dtype
-from occfusion.plan import precision_decisions
+from occfusion.plan.decisions import Decision
+from occfusion.plan.make import precision_decisions
 from quality.pictures import noise, waves
 
 CPU = torch.device("cpu")

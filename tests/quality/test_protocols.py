@@ -7,12 +7,12 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from occfusion.config import EvaluationSettings, Settings, load_settings
 from occfusion.errors import ConfigError
-from occfusion.evaluate import ImageRow
-from occfusion.evaluation_run import evaluation_metric
-from occfusion.evaluation_tables import write_grouped_csv
+from occfusion.evaluation.evaluate import ImageRow
+from occfusion.evaluation.tables import write_grouped_csv
 from occfusion.perceptual import load_perceptual
+from occfusion.run.evaluation import evaluation_metric
+from occfusion.settings.schema import EvaluationSettings, Settings, load_settings
 
 CONF = Path(__file__).parents[2] / "conf"
 

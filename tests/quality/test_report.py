@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from occfusion.errors import CheckpointError
-from occfusion.report import markdown_table, plot_error_vs_time, write_report
+from occfusion.report.page import markdown_table, plot_error_vs_time, write_report
 
 NOTHING = {"psnr": None, "ssim": None, "lpips": None, "mask_iou": None}
 METRICS = {

@@ -6,8 +6,8 @@ import torch
 from kornia.metrics import ssim as kornia_ssim
 from torchmetrics.functional.image import structural_similarity_index_measure
 
-from occfusion import metrics
-from occfusion.ssim import ssim_map
+from occfusion.quality import metrics
+from occfusion.quality.ssim import ssim_map
 from oracles import quality as oracle
 from quality.pictures import noise
 

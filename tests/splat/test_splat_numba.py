@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from splat_scenes import LAYERS, Scene, assert_all_same, gradients, make_scene, picture_weights, results
 
+from occfusion.cpu.threads import usable_cores
 from occfusion.errors import ConfigError
 from occfusion.splat import Limits, resolve_backend
 from occfusion.splat.backends import numba_ahead, numba_backend, numba_gradient
@@ -23,7 +24,6 @@ from occfusion.splat.backends.numba_bins import sort_by_depth
 from occfusion.splat.backends.numba_layout import DEPTH, REACH, SPLAT_SIZE
 from occfusion.splat.backends.numba_project_backward import project_backward_part
 from occfusion.splat.limits import DEFAULT_LIMITS
-from occfusion.threads import usable_cores
 
 FLIP = 2 / 255
 """A pixel may differ by one dropped splat where rounding decides on which side of a cut-off it is."""

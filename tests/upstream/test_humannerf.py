@@ -11,7 +11,6 @@ import torch
 from hydra import compose, initialize_config_dir
 
 from data.layout_writers import Source
-from occfusion import app
 from occfusion.__main__ import main as run_verb
 from occfusion.data import ZjuDataModule
 from occfusion.data.easymocap import read_body
@@ -20,6 +19,7 @@ from occfusion.data.posing import Poser
 from occfusion.data.rest_joints import ANOTHER_BODY, ROUNDING, joints_remark, shape_from_joints
 from occfusion.errors import DataError
 from occfusion.human import Body, load_body
+from occfusion.run import app
 from occfusion.synth import SceneSpec, write_scene
 from upstream import humannerf as upstream
 from upstream.humannerf import Row, Smpl

@@ -16,11 +16,11 @@ import torch
 from scipy import sparse
 
 from occfusion.__main__ import main
-from occfusion.compose import make_body
-from occfusion.config import BodySettings
 from occfusion.errors import DataError
 from occfusion.files.bodyfile import load_body_arrays
 from occfusion.human import load_body
+from occfusion.run.compose import make_body
+from occfusion.settings.schema import BodySettings
 from upstream import chumpy_objects as chumpy
 from upstream import smpl_files as files
 

@@ -12,12 +12,12 @@ from hydra import compose, initialize_config_dir
 
 from data import layout_writers
 from data.layout_writers import Source
-from occfusion.compose import make_data
-from occfusion.config import load_settings
 from occfusion.data import VideoDataModule
 from occfusion.data.pose_tracks import open_tracks
 from occfusion.data.video_presets import INSTANT_AVATAR
 from occfusion.errors import ConfigError, DataError
+from occfusion.run.compose import make_data
+from occfusion.settings.schema import load_settings
 from occfusion.synth import SceneSpec, write_scene
 from upstream.instantavatar import (
     FRESH,

@@ -19,7 +19,7 @@ from scipy import sparse
 
 from data import layout_writers
 from data.layout_writers import Source
-from occfusion import app
+from occfusion.run import app
 from occfusion.synth import SceneSpec, write_scene
 from upstream import chumpy_objects as chumpy
 from upstream import humannerf, instantavatar, motion_files, ocmotion, zju_mocap

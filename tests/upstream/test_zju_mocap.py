@@ -12,14 +12,14 @@ import pytest
 
 from data.layout_writers import Source, save_object
 from occfusion.__main__ import main
-from occfusion.compose import make_body
-from occfusion.config import BodySettings
 from occfusion.data import ZjuDataModule
 from occfusion.data.zju_layout import ZjuScene
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.images import read_mask
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.human.unblended import without_pose_blend_shapes
+from occfusion.run.compose import make_body
+from occfusion.settings.schema import BodySettings
 from occfusion.synth import SceneSpec, write_scene
 from upstream import zju_mocap as upstream
 from upstream.zju_mocap import SmplBody

@@ -9,7 +9,7 @@ from typing import Any
 
 from occfusion.bench.measure import BenchRow
 from occfusion.files.table import write_table
-from occfusion.report import markdown_table
+from occfusion.report.page import markdown_table
 
 TITLES = {
     "speed": "Speed: forward and backward, contestants in turn",

@@ -98,7 +98,7 @@ def write_end_table(sweep: Path) -> int:
     from occfusion.compare.page import faults_markdown, tables_markdown
     from occfusion.compare.reading import Fault, read_runs
     from occfusion.compare.tables import write_latex, write_summary_csv
-    from occfusion.tables import print_comparison
+    from occfusion.report.tables import print_comparison
 
     files = sorted((sweep / JOBS).glob("*.json"), key=lambda file: int(file.stem))
     jobs = [JobRecord(**json.loads(file.read_text(encoding="utf-8"))) for file in files]

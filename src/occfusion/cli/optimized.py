@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from occfusion.checks import check_in
 from occfusion.cli.multirun import JobRecord
 from occfusion.errors import ConfigError
+from occfusion.settings.checks import check_in
 
 KNOWN = {
     "regions": {

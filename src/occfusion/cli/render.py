@@ -10,11 +10,11 @@ from pathlib import Path
 import torch
 
 from occfusion.errors import ConfigError
+from occfusion.evaluation.pictures import Image, to_uint8
 from occfusion.files.video import write_frames
 from occfusion.geometry.camera import orbit_camera
-from occfusion.pictures import Image, to_uint8
-from occfusion.render import render_cloud
-from occfusion.runs import load_run
+from occfusion.human.rendering import render_cloud
+from occfusion.run.loaded import load_run
 from occfusion.splat import resolve_backend
 
 PATHS = ("turntable", "canonical")

@@ -18,8 +18,8 @@ from omegaconf import DictConfig
 from occfusion.cli.launchers import is_parallel, missing_launcher
 from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, record_job, record_start
 from occfusion.cli.optimized import answer, check_optimized_metric, is_asked
+from occfusion.cpu.processes import is_helper
 from occfusion.errors import ConfigError, OccfusionError
-from occfusion.processes import is_helper
 
 NOT_IN_A_MULTIRUN = (
     "trainer.devices > 1 starts more processes with the same command line, which a multirun is not for; run the "
@@ -146,9 +146,9 @@ def _exit_code(error: OccfusionError) -> int:
 
 def _finished_before(config: DictConfig, chosen: bool) -> Path | None:
     """Returns the folder of the same run where it is finished; prints its figures."""
-    from occfusion.config import load_settings
-    from occfusion.finished import find_finished
-    from occfusion.tables import print_summary
+    from occfusion.report.tables import print_summary
+    from occfusion.run.finished import find_finished
+    from occfusion.settings.schema import load_settings
 
     finished = find_finished(load_settings(config), chosen_by_user=chosen)
     if finished is None:
@@ -160,7 +160,7 @@ def _finished_before(config: DictConfig, chosen: bool) -> Path | None:
 
 def _run(config: DictConfig, chosen: bool) -> Path | None:
     # heavy imports only after composing has gone well and where there is something to do
-    from occfusion import app
+    from occfusion.run import app
 
     folder, metrics = app.run_in_folder(config, folder_chosen_by_user=chosen)
     return folder if "regions" in metrics else None

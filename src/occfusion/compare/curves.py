@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 
 from occfusion.compare.reading import RunRecord
-from occfusion.tables import METRICS, heading
+from occfusion.report.tables import METRICS, heading
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 """Okabe and Ito's palette: told apart with any colour vision."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from occfusion.compare.reading import RunRecord
 from occfusion.errors import DataError
+from occfusion.evaluation.pictures import Image
 from occfusion.files.images import read_rgb
-from occfusion.pictures import Image
 
 MARGIN = 8
 """Pixels kept around whatever is not black in any picture of a view."""

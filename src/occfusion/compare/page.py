@@ -15,9 +15,9 @@ from occfusion.compare.grid import GridRow, joined, picture_grid
 from occfusion.compare.methods import method_settings, methods
 from occfusion.compare.reading import Fault, RunRecord
 from occfusion.compare.tables import NOTES, Grid, all_grids, run_grid, write_latex, write_summary_csv
+from occfusion.evaluation.pictures import ERROR_GAIN, Image
 from occfusion.files.atomic import write_bytes, write_png
-from occfusion.pictures import ERROR_GAIN, Image
-from occfusion.report import markdown_table
+from occfusion.report.page import markdown_table
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1500px; padding: 0 1em; color: #222 }

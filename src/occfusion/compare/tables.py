@@ -17,7 +17,7 @@ from occfusion.compare.figures import (
 from occfusion.compare.reading import Fault, RunRecord
 from occfusion.files.atomic import write_bytes
 from occfusion.files.table import write_table
-from occfusion.tables import DECIMALS, PERCEPTUAL_SCALE, figure, heading
+from occfusion.report.tables import DECIMALS, PERCEPTUAL_SCALE, figure, heading
 
 PAPER_COLUMNS = ("psnr", "ssim", "lpips", "minutes")
 PAPER_DECIMALS = {"psnr": 2, "ssim": 4, "lpips": 2, "minutes": 0}

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import inline, kernel
+from occfusion.cpu.compilation import inline, kernel
 
 LANES = 64
 """Channels handled at a time: all positions of a tile then fit the first cache."""

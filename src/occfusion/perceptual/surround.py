@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from occfusion.compilation import run_parts
+from occfusion.cpu.compilation import run_parts
 from occfusion.perceptual.kernels import LANES, pool_places, sum_distances
 from occfusion.perceptual.network import BLOCKS, VggFeatures
 from occfusion.perceptual.winograd import working_space

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from occfusion.compilation import run_parts
+from occfusion.cpu.compilation import run_parts
 from occfusion.perceptual.kernels import LANES, SPACE, finish_tiles, transform_tiles
 
 TILE = 4

@@ -22,7 +22,7 @@ from occfusion.inpaint.planes import COARSE, SIZE
 from occfusion.priors.diffusion import posterior_mean
 from occfusion.priors.moments import Moment
 from occfusion.recipes.recipe import Recipe
-from occfusion.stages.settings import PriorTrainingSettings
+from occfusion.settings.stages import PriorTrainingSettings
 from occfusion.synth.spec import HELD_OUT_FROM
 from occfusion.types import Frame
 

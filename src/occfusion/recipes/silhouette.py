@@ -13,7 +13,7 @@ from occfusion.priors.corpus_folder import Corpus
 from occfusion.priors.silhouette import SilhouetteNet
 from occfusion.priors.weights import SILHOUETTE
 from occfusion.recipes.recipe import Recipe
-from occfusion.stages.settings import PriorTrainingSettings
+from occfusion.settings.stages import PriorTrainingSettings
 
 FUSION_SILHOUETTES = 1500
 

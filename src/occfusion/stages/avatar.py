@@ -14,9 +14,9 @@ from occfusion.human.avatar import Avatar
 from occfusion.human.densify import Densifier
 from occfusion.human.gaussians import means_rate
 from occfusion.perceptual import PerceptualMetric, random_crop_box
+from occfusion.settings.stages import AvatarSettings
 from occfusion.splat import Limits, rasterize
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
-from occfusion.stages.settings import AvatarSettings
 from occfusion.types import Box, Camera, Frame, Rendering
 
 BOX_PADDING = 8

@@ -10,9 +10,9 @@ from typing import Any
 
 import lightning as L
 
-from occfusion.evaluate import evaluate_frames, summarise
+from occfusion.cpu.memory import peak_memory_mb
+from occfusion.evaluation.evaluate import evaluate_frames, summarise
 from occfusion.files.table import write_table
-from occfusion.memory import peak_memory_mb
 from occfusion.perceptual import PerceptualMetric
 from occfusion.stages.avatar import AvatarStage
 from occfusion.types import Frame, Rendering

@@ -17,8 +17,8 @@ from occfusion.priors.calibration import Calibration
 from occfusion.priors.consistency import body_flow, smoothed, warped_iou
 from occfusion.priors.masks import MaskPrior, checked_probability, with_what_is_known
 from occfusion.priors.moments import Moment
+from occfusion.settings.stages import InitSettings
 from occfusion.stages.framewise import FramewiseStage
-from occfusion.stages.settings import InitSettings
 from occfusion.types import Frame
 
 UNCERTAINTY = "uncertainty"

@@ -18,9 +18,9 @@ from torch import Tensor
 
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_bytes
+from occfusion.settings.stages import LoggerSettings
 from occfusion.stages.base import Stage
 from occfusion.stages.losses_log import LOSS_TABLE, LossLog
-from occfusion.stages.settings import LoggerSettings
 from occfusion.types import Frame, Rendering
 
 

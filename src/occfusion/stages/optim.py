@@ -6,14 +6,14 @@ from typing import Any
 
 from torch import Tensor, ones_like
 
-from occfusion import losses
 from occfusion.geometry.boxes import crop
 from occfusion.human.avatar import Avatar
 from occfusion.human.densify import Densifier
 from occfusion.perceptual import PerceptualMetric
+from occfusion.quality import losses
+from occfusion.settings.stages import OptimSettings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.distil import Distiller
-from occfusion.stages.settings import OptimSettings
 from occfusion.stages.targets import Doubts, Target, crop_frame, mask_weights
 from occfusion.types import Box, Frame, Rendering
 

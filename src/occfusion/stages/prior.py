@@ -10,8 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from occfusion.priors.diffusion import diffuse, velocity
+from occfusion.settings.stages import PriorTrainingSettings
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
-from occfusion.stages.settings import PriorTrainingSettings
 
 Net = TypeVar("Net", bound=nn.Module)
 

@@ -10,7 +10,7 @@ from lightning.pytorch.callbacks import ProgressBar
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
-from occfusion.memory import peak_memory_mb
+from occfusion.cpu.memory import peak_memory_mb
 from occfusion.stages.base import Stage
 
 REFRESH_SECONDS = 0.5

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from occfusion import losses
 from occfusion.geometry.boxes import crop
 from occfusion.human.avatar import Avatar
 from occfusion.human.densify import Densifier
 from occfusion.perceptual import PerceptualMetric
+from occfusion.quality import losses
+from occfusion.settings.stages import RefineSettings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.references import References
-from occfusion.stages.settings import RefineSettings
 from occfusion.stages.targets import Doubts, Masks, crop_frame, mask_weights, with_outline
 from occfusion.types import Box, Frame, Rendering
 

@@ -28,13 +28,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.cpu.threads import usable_cores
 from occfusion.errors import DataError
 from occfusion.files.lock import only_one
 from occfusion.synth.fullbody import asset_bytes
 from occfusion.synth.manifest import is_current, write_manifest
 from occfusion.synth.scene import Scene, Shot
 from occfusion.synth.spec import SceneSpec
-from occfusion.threads import usable_cores
 
 JPEG_QUALITY = 95
 PNG_COMPRESSION = 3  # masks are small at any level; higher ones only take longer

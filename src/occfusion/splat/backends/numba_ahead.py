@@ -14,8 +14,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from occfusion.cpu.threads import usable_cores
 from occfusion.splat.backends.numba_project_backward import project_backward_part
-from occfusion.threads import usable_cores
 
 PROGRAM = """
 import gc

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from occfusion.compilation import run_parts
+from occfusion.cpu.compilation import run_parts
 from occfusion.errors import ConfigError
 from occfusion.splat.backends import numba_ahead
 from occfusion.splat.backends.layers import Layers

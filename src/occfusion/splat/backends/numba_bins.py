@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import inline, kernel
+from occfusion.cpu.compilation import inline, kernel
 from occfusion.splat.backends.numba_layout import (
     DEPTH,
     HALF_HEIGHT,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import inline, kernel, step
+from occfusion.cpu.compilation import inline, kernel, step
 from occfusion.splat.backends.numba_blocks import (
     GROUP,
     HALF,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import kernel, step
+from occfusion.cpu.compilation import kernel, step
 from occfusion.splat.backends.numba_blend import ONE, ZERO, lane_alpha, place_of
 from occfusion.splat.backends.numba_blocks import GROUP, fetch_group, lowest_block, tile_centre
 from occfusion.splat.backends.numba_layout import (

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import inline, step
+from occfusion.cpu.compilation import inline, step
 from occfusion.splat.backends.numba_bins import SLACK, strip_span
 from occfusion.splat.backends.numba_layout import (
     BLOCK,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import inline, step
+from occfusion.cpu.compilation import inline, step
 from occfusion.splat.backends.numba_geometry import (
     affine_of,
     plane_from_covariance,

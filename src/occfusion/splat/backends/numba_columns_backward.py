@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import step
+from occfusion.cpu.compilation import step
 from occfusion.splat.backends.numba_columns import (
     COLUMNS,
     DX,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import inline
+from occfusion.cpu.compilation import inline
 from occfusion.splat.limits import QUATERNION_FLOOR
 
 

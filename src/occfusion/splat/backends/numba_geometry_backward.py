@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from occfusion.compilation import inline
+from occfusion.cpu.compilation import inline
 from occfusion.splat.backends.numba_geometry import dot, rotation_of
 
 

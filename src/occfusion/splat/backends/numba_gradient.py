@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from occfusion.compilation import run_parts
+from occfusion.cpu.compilation import run_parts
 from occfusion.splat.backends.numba_arrays import (
     Array,
     Inputs,

@@ -10,7 +10,7 @@ from numba import carray, from_dtype, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from occfusion.compilation import inline
+from occfusion.cpu.compilation import inline
 
 
 def _local_memory(size: int, element: Any) -> Any:

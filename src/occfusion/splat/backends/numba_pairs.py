@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from occfusion.compilation import inline
+from occfusion.cpu.compilation import inline
 from occfusion.splat.backends.numba_layout import (
     G_BLUE,
     G_DEPTH,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import kernel, step
+from occfusion.cpu.compilation import kernel, step
 from occfusion.splat.backends.numba_columns import (
     COLUMNS,
     FLAT,

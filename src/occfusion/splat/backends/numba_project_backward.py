@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.compilation import kernel
+from occfusion.cpu.compilation import kernel
 from occfusion.splat.backends.numba_columns import (
     PART,
     face,

@@ -9,19 +9,19 @@ from typing import Any
 import lightning as L
 from omegaconf import DictConfig
 
-from occfusion.avatar_run import run_stages
-from occfusion.coarse_run import train_coarse
-from occfusion.config import PRIOR_STAGE, load_settings, stages_to_run
-from occfusion.evaluation_run import evaluate_run
-from occfusion.finished import finished_in, record_finished
-from occfusion.prior_run import run_prior_training
-from occfusion.processes import is_helper
+from occfusion.cpu.processes import is_helper
 from occfusion.recipes.appearance import Coarse, CoarseScene
-from occfusion.report import write_report
-from occfusion.run_objects import Run, compose_run
-from occfusion.runfolder import at_work
+from occfusion.report.page import write_report
+from occfusion.report.tables import print_summary
+from occfusion.run.coarse import train_coarse
+from occfusion.run.evaluation import evaluate_run
+from occfusion.run.finished import finished_in, record_finished
+from occfusion.run.folder import at_work
+from occfusion.run.objects import Run, compose_run
+from occfusion.run.prior import run_prior_training
+from occfusion.run.stages import run_stages
+from occfusion.settings.schema import PRIOR_STAGE, load_settings, stages_to_run
 from occfusion.stages.loggers import check_logger
-from occfusion.tables import print_summary
 
 
 def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:

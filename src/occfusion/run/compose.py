@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 from hydra.utils import get_object
 
-from occfusion.config import BodySettings, Settings
 from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.human.unblended import without_pose_blend_shapes
+from occfusion.settings.schema import BodySettings, Settings
 
 TARGET_PREFIX = "occfusion."
 """Data sets are named by import path; nothing outside this package is ever instantiated from a file."""

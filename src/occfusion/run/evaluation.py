@@ -8,15 +8,15 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from occfusion.config import STAGES, EvaluationSettings, Settings
+from occfusion.cpu.memory import peak_memory_mb
 from occfusion.data.handful import held_out_handful, training_handful
 from occfusion.data.module import HumanDataModule
-from occfusion.evaluate import ImageRow, evaluate_frames, summarise, write_per_image_csv
-from occfusion.evaluation_tables import write_grouped_csv
+from occfusion.evaluation.evaluate import ImageRow, evaluate_frames, summarise, write_per_image_csv
+from occfusion.evaluation.pictures import write_comparison
+from occfusion.evaluation.tables import write_grouped_csv
 from occfusion.files.atomic import write_json
-from occfusion.memory import peak_memory_mb
 from occfusion.perceptual import PerceptualMetric
-from occfusion.pictures import write_comparison
+from occfusion.settings.schema import STAGES, EvaluationSettings, Settings
 from occfusion.types import Frame, Rendering
 
 HELD_OUT_REGIONS = ("full", "box")

@@ -11,9 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from occfusion.cpu.workers import spread
 from occfusion.errors import ConfigError
 from occfusion.files.table import write_table
-from occfusion.metrics import (
+from occfusion.perceptual import PerceptualMetric
+from occfusion.quality.metrics import (
     OCCUPIED,
     PSNR_CAP,
     depth_error,
@@ -23,9 +25,7 @@ from occfusion.metrics import (
     ssim,
     ssim_over_black,
 )
-from occfusion.perceptual import PerceptualMetric
 from occfusion.types import Box, Frame, Rendering
-from occfusion.workers import spread
 
 METRICS = ("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm")
 REGIONS = ("full", "box", "visible", "hidden")

@@ -15,12 +15,12 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from occfusion.checks import check_in as _check_in
-from occfusion.checks import check_range as _check_range
 from occfusion.errors import ConfigError
 from occfusion.perceptual import PRECISIONS
 from occfusion.priors.distillation import REDUCTIONS, SCHEDULES, WEIGHTINGS
-from occfusion.stages.settings import (
+from occfusion.settings.checks import check_in as _check_in
+from occfusion.settings.checks import check_range as _check_range
+from occfusion.settings.stages import (
     LOGGERS,
     AvatarSettings,
     InitSettings,

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from occfusion.config import STAGES, Settings, stages_to_run
 from occfusion.data.registered import SceneRegistration
 from occfusion.priors.evidence import FITTING, HIDDEN_SHARE
 from occfusion.priors.key_light import KeyLight
 from occfusion.priors.moments import Moment, misfit_of, poses_fit
+from occfusion.settings.schema import STAGES, Settings, stages_to_run
+from occfusion.settings.stages import AvatarSettings
 from occfusion.stages.avatar import BOX_PADDING
-from occfusion.stages.settings import AvatarSettings
 
 HIDDEN_STAGES = ("init",)
 """Stages that are about what is hidden alone: left out where nothing is. The refinement is not one of them: without

@@ -11,16 +11,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from occfusion.config import Settings
 from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.human import Avatar
+from occfusion.human.rendering import outline
 from occfusion.inpaint.accumulation import accumulate, paint_unseen
 from occfusion.inpaint.partial import Inpainter
 from occfusion.inpaint.registry import make_inpainter
 from occfusion.inpaint.sources import CoarsePictures, TruthPictures
 from occfusion.priors.moments import Moment
-from occfusion.render import outline
+from occfusion.settings.schema import Settings
 from occfusion.stages.framewise import predict_frames
 from occfusion.stages.inpaint import InpaintStage
 from occfusion.stages.interruption import Interrupted

@@ -10,20 +10,21 @@ from typing import Any
 
 import lightning as L
 
-from occfusion import plan as planning
-from occfusion.config import Settings, optim_hash
+from occfusion.cpu.processes import is_helper, tell_helpers
 from occfusion.data.handful import held_out_handful, training_handful
-from occfusion.evaluation_run import evaluation_metric
 from occfusion.files.atomic import write_json
 from occfusion.human import load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
-from occfusion.init_run import run_init
-from occfusion.optim_run import start_as_observed
+from occfusion.plan import make as planning
 from occfusion.priors.registry import make_score_prior
-from occfusion.processes import is_helper, tell_helpers
-from occfusion.refine_run import file_digest, make_references, own_outlines
-from occfusion.run_objects import Run, device_of
-from occfusion.sharing import offer, shared_folder, sole_maker, take
+from occfusion.run.evaluation import evaluation_metric
+from occfusion.run.masks import run_init
+from occfusion.run.objects import Run, device_of
+from occfusion.run.references import file_digest, make_references, own_outlines
+from occfusion.run.sharing import offer, shared_folder, sole_maker, take
+from occfusion.run.start import start_as_observed
+from occfusion.settings.schema import Settings, optim_hash
+from occfusion.settings.stages import AvatarSettings
 from occfusion.splat import warm_up
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.checkpointing import Checkpointing, resumable
@@ -36,7 +37,6 @@ from occfusion.stages.optim import OptimStage
 from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.refine import RefineStage
-from occfusion.stages.settings import AvatarSettings
 from occfusion.stages.targets import Doubts
 from occfusion.types import Frame
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from occfusion.config import Settings
+from occfusion.cpu.processes import is_helper
 from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
@@ -18,8 +18,8 @@ from occfusion.priors.masks import MaskPrior
 from occfusion.priors.moments import Moment, look
 from occfusion.priors.registry import make_mask_prior
 from occfusion.priors.truth import TruthMasks
-from occfusion.processes import is_helper
-from occfusion.sharing import discard, offer, shared_folder, sole_maker, take
+from occfusion.run.sharing import discard, offer, shared_folder, sole_maker, take
+from occfusion.settings.schema import Settings
 from occfusion.stages.framewise import predict_frames
 from occfusion.stages.init import InitStage, mask_path
 from occfusion.stages.interruption import Interrupted

@@ -21,11 +21,11 @@ import torch
 from omegaconf import OmegaConf
 
 import occfusion
-from occfusion.config import STAGES, Settings, settings_hash
+from occfusion.cpu.processes import helped_folder, is_helper
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes, json_bytes, write_bytes, write_json
 from occfusion.files.lock import Taken, only_one
-from occfusion.processes import helped_folder, is_helper
+from occfusion.settings.schema import STAGES, Settings, settings_hash
 
 PACKAGES = (
     "torch", "lightning", "hydra-core", "kornia", "trimesh", "opencv-contrib-python-headless",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from occfusion.evaluate import METRICS, ImageRow, summarise
+from occfusion.evaluation.evaluate import METRICS, ImageRow, summarise
 from occfusion.files.table import write_table
 
 

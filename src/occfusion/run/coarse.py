@@ -7,11 +7,11 @@ from pathlib import Path
 
 import lightning as L
 
-from occfusion.avatar_run import run_stages
-from occfusion.config import Named, Settings
 from occfusion.errors import ConfigError
 from occfusion.recipes.appearance import Coarse, CoarseScene
-from occfusion.run_objects import compose_run
+from occfusion.run.objects import compose_run
+from occfusion.run.stages import run_stages
+from occfusion.settings.schema import Named, Settings
 
 
 def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse:

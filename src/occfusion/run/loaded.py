@@ -9,10 +9,10 @@ from pathlib import Path
 import torch
 from omegaconf import OmegaConf
 
-from occfusion.compose import make_body
-from occfusion.config import STAGES, Settings, load_settings
 from occfusion.errors import CheckpointError
 from occfusion.human import Avatar, load_avatar
+from occfusion.run.compose import make_body
+from occfusion.settings.schema import STAGES, Settings, load_settings
 from occfusion.types import Pose
 
 

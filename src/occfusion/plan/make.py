@@ -11,9 +11,9 @@ from typing import Any
 
 import torch
 
-from occfusion.config import Settings, stages_to_run
 from occfusion.data.registered import SceneRegistration
-from occfusion.needs import (
+from occfusion.perceptual import training_dtype
+from occfusion.plan.decisions import (
     Decision,
     HiddenMasks,
     box_reason,
@@ -32,10 +32,10 @@ from occfusion.needs import (
     stage_decisions,
     start_decision,
 )
-from occfusion.perceptual import training_dtype
 from occfusion.priors.key_light import KeyLight
 from occfusion.priors.moments import Moment
-from occfusion.stages.settings import AvatarSettings
+from occfusion.settings.schema import Settings, stages_to_run
+from occfusion.settings.stages import AvatarSettings
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_bytes
-from occfusion.tables import METRICS, figure, figures_known, heading
+from occfusion.report.tables import METRICS, figure, figures_known, heading
 
 REGION_NOTES = {
     "full": "held-out cameras, whole frame over black",

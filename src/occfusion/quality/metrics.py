@@ -6,7 +6,7 @@ import math
 
 from torch import Tensor
 
-from occfusion.ssim import WINDOW, ssim_map
+from occfusion.quality.ssim import WINDOW, ssim_map
 from occfusion.types import Box
 
 PSNR_CAP = 100.0

@@ -9,23 +9,23 @@ from typing import Any
 
 import torch
 
-from occfusion.compose import make_body, make_data
-from occfusion.config import Settings
+from occfusion.cpu.processes import is_helper, local_rank
 from occfusion.data.module import HumanDataModule
 from occfusion.data.registered import SceneRegistration
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline
-from occfusion.init_run import look_at_training_frames
+from occfusion.human.rendering import render_frame
 from occfusion.inpaint.registry import check_inpainter
-from occfusion.needs import may_leave_out_networks, with_everything
 from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
-from occfusion.plan import Plan, make_plan, reached_sh_degree
+from occfusion.plan.decisions import may_leave_out_networks, with_everything
+from occfusion.plan.make import Plan, make_plan, reached_sh_degree
 from occfusion.priors.key_light import KeyLight, find_key_light
 from occfusion.priors.moments import Moment
 from occfusion.priors.registry import check_score_prior
-from occfusion.processes import is_helper, local_rank
-from occfusion.render import render_frame
-from occfusion.runfolder import claim_run_folder
+from occfusion.run.compose import make_body, make_data
+from occfusion.run.folder import claim_run_folder
+from occfusion.run.masks import look_at_training_frames
+from occfusion.settings.schema import Settings
 from occfusion.splat import resolve_backend
 from occfusion.types import Frame, Rendering
 

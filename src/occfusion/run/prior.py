@@ -14,7 +14,6 @@ import lightning as L
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
-from occfusion.config import Settings, optim_hash
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.files.table import write_table
@@ -22,13 +21,14 @@ from occfusion.priors.weights import save_net
 from occfusion.recipes.appearance import AppearanceRecipe, TrainCoarse
 from occfusion.recipes.recipe import Recipe
 from occfusion.recipes.silhouette import SilhouetteRecipe
-from occfusion.runfolder import claim_run_folder
+from occfusion.run.folder import claim_run_folder
+from occfusion.settings.schema import Settings, optim_hash
+from occfusion.settings.stages import PriorTrainingSettings
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.loggers import Place, make_logs
 from occfusion.stages.prior import Batch, PriorStage
 from occfusion.stages.progress import ProgressLine
-from occfusion.stages.settings import PriorTrainingSettings
 
 WEIGHTS = "prior.safetensors"
 

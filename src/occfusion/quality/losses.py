@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from occfusion.ssim import ssim_map
+from occfusion.quality.ssim import ssim_map
 
 __all__ = ["l1", "l2", "masked_mean", "ssim_loss", "ssim_map"]
 

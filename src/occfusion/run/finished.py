@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import occfusion
-from occfusion.config import PRIOR_STAGE, Settings, settings_hash, stages_to_run
 from occfusion.files.atomic import write_json
+from occfusion.settings.schema import PRIOR_STAGE, Settings, settings_hash, stages_to_run
 
 RECORD = "finished.json"
 MAX_SIBLINGS = 1000

@@ -1,0 +1,1 @@
+"""Avatars measured against held-out pictures and training views."""

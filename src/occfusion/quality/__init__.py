@@ -1,0 +1,1 @@
+"""How alike pictures are: losses, metrics, SSIM."""

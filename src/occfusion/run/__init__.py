@@ -1,0 +1,1 @@
+"""A run: observe the data, decide, build the objects, run the stages, evaluate."""
