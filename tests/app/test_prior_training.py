@@ -36,6 +36,8 @@ def test_the_silhouette_recipe_ends_in_weights(train: Train) -> None:
     folder, card = train(*TINY, "prior_training=silhouette", "trainer.fast_dev_run=true")
     net, read = load_silhouette_net(folder / "prior.safetensors")
     assert read["training"] == card["training"] and card["training"]["steps"] == 1
+    header, row = (folder / "losses.csv").read_text().splitlines()
+    assert header == "stage,step,total,v,rate_net" and row.startswith("prior,1,")
     assert sum(parameter.numel() for parameter in net.parameters()) > 1000
 
 

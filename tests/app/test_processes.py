@@ -67,6 +67,7 @@ def test_two_processes_train_one_avatar(tmp_path: Path, scene_root: Path) -> Non
     assert [path.name for path in folder.parent.iterdir() if not path.name.startswith(".")] == ["A"]
     assert done.stdout.count("run folder: ") == 1 and not list(folder.rglob("*.partial"))
     assert (folder / "error_vs_time.csv").read_text().count("\noptim,") == 2
+    assert (folder / "losses.csv").read_text().count("\noptim,") == 6
 
 
 @pytest.mark.slow

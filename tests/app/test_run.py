@@ -19,8 +19,8 @@ from occfusion.types import Box, Frame
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 CONTRACT_FILES = (
     "config.yaml", "environment.json", "plan.json", "optim/last.ckpt", "optim/avatar.safetensors",
-    "point_cloud.ply", "error_vs_time.csv", "error_vs_time.png", "per_image.csv", "per_camera.csv", "per_frame.csv",
-    "metrics.json", "report.md",
+    "point_cloud.ply", "losses.csv", "losses.png", "error_vs_time.csv", "error_vs_time.png", "per_image.csv",
+    "per_camera.csv", "per_frame.csv", "metrics.json", "report.md",
 )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from occfusion.errors import CheckpointError
+from occfusion.report.losses import _smoothed, plot_losses
 from occfusion.report.page import markdown_table, plot_error_vs_time, write_report
 
 NOTHING = {"psnr": None, "ssim": None, "lpips": None, "mask_iou": None}
@@ -67,6 +68,31 @@ def test_curve_is_drawn(run_dir, tmp_path):
     # three panels: the perceptual column is empty
     assert picture.shape[1] > 2.5 * picture.shape[0]
     assert np.ptp(picture) == 255
+
+
+def test_losses_are_drawn_stage_after_stage(run_dir):
+    rows = [f"optim,{k},{10 / k},{0.1 / k},,0.01,7" for k in range(1, 161)]
+    rows += [f"refine,{k},{1 / k},{0.01 / k},{0.2 if k % 8 == 1 else ''},0.01,7" for k in range(1, 81)]
+    (run_dir / "losses.csv").write_text(
+        "\n".join(["stage,step,total,rgb,lpips,rate_means,gaussians", *rows]) + "\n"
+    )
+    text = write_report(run_dir).read_text()
+    assert "![losses](losses.png)" in text and "mean of 50 steps" in text
+    picture = cv2.imread(str(run_dir / "losses.png"))
+    assert picture.shape[1] > 3 * picture.shape[0]  # a row of three panels
+    ink = [np.ptp(panel) for panel in np.array_split(picture, 3, axis=1)]
+    assert min(ink) == 255
+    steps, values = _smoothed(
+        [{"step": str(k), "a": "2" if k > 50 else "1", "b": ""} for k in range(1, 101)], "a", 10
+    )
+    assert (steps, values) == ([35.5, 85.5], [1.0, 2.0])
+
+
+def test_a_loss_table_without_rows_is_not_drawn(tmp_path):
+    (tmp_path / "losses.csv").write_text("stage,step,total,rgb,gaussians\n")
+    for table in ("losses.csv", "none.csv"):
+        assert not plot_losses(tmp_path / table, tmp_path / "losses.png")
+    assert not (tmp_path / "losses.png").exists()
 
 
 def test_a_run_without_curve_plan_or_pictures(tmp_path):

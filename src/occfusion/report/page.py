@@ -11,6 +11,7 @@ from typing import Any
 
 from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_bytes
+from occfusion.report.losses import LOSSES_NAME, SMOOTHED, plot_losses
 from occfusion.report.tables import METRICS, figure, figures_known, heading
 
 REGION_NOTES = {
@@ -23,7 +24,7 @@ CURVE_NAME = "error_vs_time"
 
 
 def write_report(run_dir: Path | str) -> Path:
-    """Writes `report.md`, and `error_vs_time.png` where there is a curve; returns the path of the report.
+    """Writes `report.md`, `error_vs_time.png` and `losses.png` where there are curves; returns the report's path.
 
     Raises:
         CheckpointError: the folder has no readable `metrics.json`, which the end of a run writes.
@@ -38,6 +39,8 @@ def write_report(run_dir: Path | str) -> Path:
         name = metrics["perceptual_metric"]
         plot_error_vs_time(folder / f"{CURVE_NAME}.csv", folder / f"{CURVE_NAME}.png", name)
         sections.append(_curve(curve, name))
+    if plot_losses(folder / f"{LOSSES_NAME}.csv", folder / f"{LOSSES_NAME}.png"):
+        sections.append(_losses())
     sections += [_pictures(folder), _plan(plan), _environment(environment)]
     path = folder / "report.md"
     write_bytes(path, ("\n\n".join(s for s in sections if s) + "\n").encode())
@@ -127,6 +130,13 @@ def _curve(rows: Sequence[Mapping[str, str]], name: str | None) -> str:
         "## Error against training time\n\nOn a fixed handful of held-out images; the clock stands "
         "still while they are measured.\n\n"
         f"![error against time]({CURVE_NAME}.png)\n\n{markdown_table(header, body)}"
+    )
+
+
+def _losses() -> str:
+    return (
+        f"## Losses\n\nEach point is a mean of {SMOOTHED} steps; every step is in `{LOSSES_NAME}.csv`.\n\n"
+        f"![losses]({LOSSES_NAME}.png)"
     )
 
 

@@ -1,0 +1,74 @@
+"""The picture of `losses.csv`."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from occfusion.files.atomic import write_bytes
+
+LOSSES_NAME = "losses"
+NOT_LOSSES = ("stage", "step", "gaussians")
+SMOOTHED = 50
+"""Steps that a point of a loss curve is the mean of: each step sees another frame."""
+PANELS_A_ROW = 3
+
+
+def plot_losses(table: Path | str, picture: Path | str) -> bool:
+    """Draws `losses.csv`: a panel a term and one for the weighted sum, a line a stage, over the steps of all stages.
+
+    Args:
+        table: the CSV file, which may be missing.
+        picture: the PNG to write.
+
+    Returns:
+        Whether there was anything to draw.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    if not Path(table).is_file():
+        return False
+    with Path(table).open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    terms = (
+        [name for name in rows[0] if name not in NOT_LOSSES and not name.startswith("rate_")] if rows else []
+    )
+    if not terms:
+        return False
+    lines = -(-len(terms) // PANELS_A_ROW)
+    drawing = Figure(figsize=(3.6 * PANELS_A_ROW, 2.4 * lines), layout="constrained")
+    FigureCanvasAgg(drawing)
+    panels = {term: drawing.add_subplot(lines, PANELS_A_ROW, k) for k, term in enumerate(terms, 1)}
+    stages = list(dict.fromkeys(row["stage"] for row in rows))
+    last = {stage: max(int(row["step"]) for row in rows if row["stage"] == stage) for stage in stages}
+    for term, axes in panels.items():
+        before, is_positive = 0, True
+        for stage in stages:
+            steps, values = _smoothed([row for row in rows if row["stage"] == stage], term, before)
+            axes.plot(steps, values, linewidth=1, label=stage)
+            is_positive = is_positive and all(value > 0.0 for value in values)
+            before += last[stage]
+        axes.set_title("weighted sum" if term == "total" else term, fontsize=10)
+        axes.set_yscale("log" if is_positive else "linear")
+        axes.set_xlim(0, before)
+        axes.grid(alpha=0.3)
+    drawing.axes[0].legend(fontsize=8)
+    buffer = io.BytesIO()
+    drawing.savefig(buffer, format="png", dpi=110)
+    write_bytes(picture, buffer.getvalue())
+    return True
+
+
+def _smoothed(rows: Sequence[Mapping[str, str]], term: str, before: int) -> tuple[list[float], list[float]]:
+    """Returns steps and values of a term: means over parts of `SMOOTHED` steps of a stage that began at `before`."""
+    parts: dict[int, list[tuple[int, float]]] = {}
+    for row in rows:
+        if row[term]:
+            parts.setdefault((int(row["step"]) - 1) // SMOOTHED, []).append(
+                (int(row["step"]), float(row[term]))
+            )
+    steps = [before + sum(step for step, _ in part) / len(part) for part in parts.values()]
+    return steps, [sum(value for _, value in part) / len(part) for part in parts.values()]
