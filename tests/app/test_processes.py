@@ -22,7 +22,7 @@ def command(scene_root: Path, *overrides: str) -> list[str]:
     scene = [
         f"dataset.root={scene_root}", "dataset.scene=001-clean", f"body.path={scene_root}/001-clean/body.npz",
         "dataset.test_cameras=[1]", "dataset.test_frames=[0,10,9]", "evaluation.pictures=false", "rasterizer=numba",
-        "trainer.accelerator=cpu", "trainer.devices=2", "trainer.strategy=ddp", "variant=A",
+        "trainer.accelerator=cpu", "trainer.devices=2", "variant=A",
     ]  # fmt: skip
     common = [word for word in COMMAND[1:] if word != "-m" and not word.startswith("hydra.")]
     return [sys.executable, str(RECORDER), *common, *scene, *overrides]

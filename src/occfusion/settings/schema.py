@@ -37,8 +37,6 @@ PRIOR_STAGE = "prior"
 PRIORS = ("embedded", "sd15")
 PERCEPTUAL_INPUTS = ("centred", "unit")
 """What the evaluation's perceptual metric is fed: -1..1, as it was trained, or 0..1, as GauHuman's family does."""
-STRATEGIES = ("auto", "ddp")
-"""How several processes train one scene; both mean the same."""
 VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
 RECIPES = ("ours", "paper")
 
@@ -84,7 +82,6 @@ class TrainerSettings:
 
     accelerator: str = "auto"
     devices: int = 1
-    strategy: str = "auto"
     fast_dev_run: bool = False
     max_steps: int | None = None
     max_time: str | None = None
@@ -177,7 +174,7 @@ def settings_hash(settings: Settings) -> str:
             del relevant["prior"]
     if not is_distilled:
         del relevant["optim"]["sds"]
-    for key in ("checkpoint_every", "enable_progress_bar", "strategy"):
+    for key in ("checkpoint_every", "enable_progress_bar"):
         del relevant["trainer"][key]
     del relevant["dataset"]["root"], relevant["variant"]["paper"]
     return hashlib.sha256(json.dumps(relevant, sort_keys=True, default=str).encode()).hexdigest()[:16]
@@ -236,7 +233,6 @@ def _check_choices(settings: Settings) -> None:
     _check_in("refine.lpips_pixels", settings.refine.lpips_pixels, ("visible", "all"))
     _check_in("perceptual.precision", settings.perceptual.precision, PRECISIONS)
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
-    _check_in("trainer.strategy", settings.trainer.strategy, STRATEGIES)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
     _check_in("optim.sh_frame", settings.optim.sh_frame, ("canonical", "world"))
     sds = settings.optim.sds
