@@ -25,7 +25,6 @@ ANISOTROPY = 0.4
 """Spread of the logarithms of a Gaussian's three sizes."""
 BAND_STRENGTH = 0.1
 """Spread of the SH coefficients above the constant one."""
-INPUTS = ("means", "quats", "scales", "opacities", "colors")
 
 
 @dataclass(frozen=True)

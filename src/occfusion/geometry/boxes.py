@@ -58,18 +58,6 @@ def person_box(points: Tensor, mask: Tensor, camera: Camera, padding: int) -> Bo
     return left, top, right - left, bottom - top
 
 
-def padded_mask_box(mask: Tensor, share: float) -> Box | None:
-    """Returns the rectangle of a mask, widened by `share` of its longer side on each side; None if empty."""
-    bounds = mask_bounds(mask)
-    if bounds is None:
-        return None
-    left, top, right, bottom = bounds
-    padding = round(share * max(right - left, bottom - top))
-    height, width = mask.shape
-    left, top = max(0, left - padding), max(0, top - padding)
-    return left, top, min(width, right + padding) - left, min(height, bottom + padding) - top
-
-
 def crop(image: Tensor, box: Box) -> Tensor:
     """Returns the window `box` of a picture `[H, W, ...]` as a view."""
     x, y, w, h = box

@@ -138,21 +138,6 @@ def matrix_to_axis_angle(matrices: Tensor) -> Tensor:
     return quaternion_to_axis_angle(matrix_to_quaternion(matrices))
 
 
-def quaternion_multiply(left: Tensor, right: Tensor) -> Tensor:
-    """Returns the products `[..., 4]` of quaternions: first `right` is applied, then `left`."""
-    w1, x1, y1, z1 = left.unbind(-1)
-    w2, x2, y2, z2 = right.unbind(-1)
-    return torch.stack(
-        [
-            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
-            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
-            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
-            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
-        ],
-        dim=-1,
-    )
-
-
 def z_axis_to(directions: Tensor) -> Tensor:
     """Returns the quaternions of the shortest turns of +z to `directions [..., 3]` of length 1, `[..., 4]`, w first.
 

@@ -204,9 +204,8 @@ def _middles_of_largest(vertices: Tensor, faces: Tensor, count: int) -> Tensor:
 
 
 def means_rate(
-    step: int, initial: float = 1.6e-4, final: float = 1.6e-6, horizon: int = MEANS_HORIZON,
-    delay_steps: int = 0, delay_factor: float = 0.01,
-) -> float:  # fmt: skip
+    step: int, initial: float = 1.6e-4, final: float = 1.6e-6, horizon: int = MEANS_HORIZON
+) -> float:
     """Returns the learning rate of the means at a step: log-linear over `horizon` steps.
 
     Args:
@@ -214,15 +213,8 @@ def means_rate(
         initial: rate at step 0, learning rate of Adam.
         final: rate at `horizon` and after.
         horizon: in steps.
-        delay_steps: steps over which the rate rises, along a quarter sine, from `delay_factor` of its value.
-            0, as 3DGS runs it, means no delay, and then `delay_factor` plays no part.
-        delay_factor: see `delay_steps`.
     """
     if initial == 0 or final == 0:
         return 0.0 if initial == 0 else initial * max(0.0, 1 - step / horizon)
     share = min(max(step / horizon, 0.0), 1.0)
-    rate = math.exp((1 - share) * math.log(initial) + share * math.log(final))
-    if delay_steps <= 0:
-        return rate
-    rise = math.sin(0.5 * math.pi * min(max(step / delay_steps, 0.0), 1.0))
-    return rate * (delay_factor + (1 - delay_factor) * rise)
+    return math.exp((1 - share) * math.log(initial) + share * math.log(final))
