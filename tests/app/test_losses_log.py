@@ -28,7 +28,7 @@ def test_every_step_has_its_terms_their_weighted_sum_rates_and_gaussians(train: 
     folder, metrics = train(
         "variant=D", "optim.steps=6", "plan=full", "optim.lambda_rgb=1e4", "optim.lambda_mask=2e4",
         "optim.lambda_ssim=1e3", "optim.sds.lambda_pose=10", "optim.sds.lambda_can=20", "optim.sds.every=2",
-        "optim.lambda_correction=0", "optim.sds.where=everywhere",
+        "optim.sds.where=everywhere",
     )  # fmt: skip
     rows = rows_of(folder / LOSS_TABLE)
     assert [(row["stage"], row["step"]) for row in rows] == [("optim", str(k)) for k in range(1, 7)]

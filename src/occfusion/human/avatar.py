@@ -198,23 +198,11 @@ class Avatar(nn.Module):
         rotations = self.body.rotations(pose.global_orient, pose.body_pose)
         transl = pose.transl.to(self.gaussians.means)
         if self.pose_refiner is not None:
-            rotations = self.pose_refiner(self._flat(pose), rotations)
+            body_pose = pose.body_pose.reshape(-1).to(self.gaussians.means)
+            rotations = self.pose_refiner(body_pose, rotations)
         if self.pose_spline is not None and pose.moment is not None:
             rotations, transl = self.pose_spline(pose.moment, rotations, transl)
         return rotations, transl
-
-    def _flat(self, pose: Pose) -> Tensor:
-        """Returns the body pose as the network sees it, `[69]`."""
-        return pose.body_pose.reshape(-1).to(self.gaussians.means)
-
-    def corrections(self, pose: Pose) -> list[Tensor]:
-        """Returns the axis-angles that correct a pose, radians: the network's `[23, 3]`, then the frame's `[24, 3]`."""
-        angles = []
-        if self.pose_refiner is not None:
-            angles.append(self.pose_refiner.corrections(self._flat(pose)))
-        if self.pose_spline is not None and pose.moment is not None:
-            angles.append(self.pose_spline.at(pose.moment)[0])
-        return angles
 
     def canonical(self, camera_centre: Tensor, angle: float = 0.0) -> Cloud:
         """Returns the Gaussians in the Da pose around their own origin; the centres are the parameters.

@@ -155,14 +155,6 @@ def key_light_decision(settings: Settings, found: KeyLight | None) -> Decision:
     return Decision(part, used, reason if used else f"{reason}; {LIT:.0%} would be worth it")
 
 
-def correction_decision(stage: str, settings: AvatarSettings, networks: Sequence[Decision]) -> Decision:
-    """Returns whether a stage keeps pose corrections small: only where there are any."""
-    part = "loss term correction" + ("" if stage == "optim" else f" in {stage}")
-    weight, are_corrected = settings.lambda_correction, networks[0].used or networks[1].used
-    reason = f"{stage}.lambda_correction = {weight:g}" + ("" if are_corrected else "; no pose is corrected")
-    return Decision(part, weight > 0 and are_corrected, reason)
-
-
 def may_leave_out_networks(settings: Settings) -> bool:
     """Returns whether how well poses fit decides on pose refinement and the skinning network."""
     optim = settings.optim

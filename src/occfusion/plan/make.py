@@ -17,7 +17,6 @@ from occfusion.plan.decisions import (
     Decision,
     HiddenMasks,
     box_reason,
-    correction_decision,
     densification_decision,
     generated_decision,
     hidden_mask_decision,
@@ -139,7 +138,7 @@ def make_plan(
         Decision("spherical harmonics above the active degree", False,
                  f"degree {highest} is the highest reached in the run's steps; higher bands are not allocated")
     )  # fmt: skip
-    plan += [*networks, correction_decision("optim", optim, networks), lamp, start]
+    plan += [*networks, lamp, start]
     reason = f"optim.observed_colors = {optim.observed_colors}"
     plan.append(Decision("colours of the video at the start", optim.observed_colors, reason))
     plan.append(rounds)
@@ -148,7 +147,7 @@ def make_plan(
         plan.append(hidden_mask_decision("refine", settings, hidden, moments))
         plan.append(generated_decision(settings, moments))
         plan += _term_decisions("refine", refine, ("ssim", "lpips"))
-        plan += [correction_decision("refine", refine, networks), refined_rounds]
+        plan.append(refined_rounds)
     plan.append(Decision("pixels outside the person's padded box", False, box_reason(moments)))
     plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
     plan += precision_decisions(settings, plan, device or torch.device("cpu"))

@@ -272,7 +272,6 @@ def _check_avatar_ranges(name: str, stage: AvatarSettings, terms: tuple[str, ...
     weights = {f"{name}.lambda_{term}": getattr(stage, f"lambda_{term}") for term in terms}
     for key, value in weights.items():
         _check_range(key, value, 0.0, math.inf)
-    _check_range(f"{name}.lambda_correction", stage.lambda_correction, 0.0, math.inf)
     if not any(weights.values()):
         raise ConfigError(f"settings {name}.lambda_*: all weights are zero, so there is nothing to train")
     for key, value in vars(stage.rates).items():

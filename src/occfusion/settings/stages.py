@@ -161,7 +161,6 @@ class AvatarSettings:
 
     Attributes:
         steps: of the stage.
-        lambda_correction: weight of the mean squared angle of pose corrections, radians.
         perceptual_every: steps from one perceptual term to the next, which then has that many times the weight.
         perceptual_crop: side of its random crop, pixels.
         sh_degree: highest band of spherical harmonics.
@@ -173,7 +172,6 @@ class AvatarSettings:
     """
 
     steps: int = 1200
-    lambda_correction: float = 0.0
     perceptual_every: int = 8
     perceptual_crop: int = 128
     sh_degree: int = 1

@@ -131,18 +131,6 @@ class AvatarStage(Stage):
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
         return random_crop_box(mask, self._schedule.perceptual_crop, generator)
 
-    def correction(self, frame: Frame) -> dict[str, Tensor]:
-        """Returns the term that keeps pose corrections small: the mean over joints of the squared angle, radians.
-
-        Of the network's corrections and of those frame by frame, added.
-        What is hidden of a person says nothing of its pose; without this term corrections that mend what is seen turn
-        hidden limbs anywhere. Empty without a weight or without corrections.
-        """
-        if not self._schedule.lambda_correction:
-            return {}
-        squared = [angles.square().sum(dim=-1).mean() for angles in self.avatar.corrections(frame.pose)]
-        return {"correction": torch.stack(squared).sum()} if squared else {}
-
     # -- optimiser, schedules, densification ------------------------------------------------------------------
 
     def configure_optimizers(self) -> torch.optim.Adam:

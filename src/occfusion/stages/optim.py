@@ -58,7 +58,7 @@ class OptimStage(AvatarStage):
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.2: photometric ones and, with a distiller, that of the prior."""
         weights = mask_weights(frame, box, self.doubts, self.settings.mask_hidden)
-        terms = self._photometric(rendering, crop_frame(frame, box), weights) | self.correction(frame)
+        terms = self._photometric(rendering, crop_frame(frame, box), weights)
         if self.distiller is not None:
             terms |= self.distiller.terms(self.avatar, frame, rendering.alpha, box, self.global_step)
         return terms

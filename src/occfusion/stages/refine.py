@@ -69,7 +69,7 @@ class RefineStage(AvatarStage):
         if reference is not None and settings.lpips_pixels == "all":
             wanted, looked_at = reference.rgb, target.visible_mask | reference.region
         rgb = rendering.rgb
-        terms = self.correction(frame)
+        terms: dict[str, Tensor] = {}
         if settings.lambda_rgb:
             terms["rgb"] = losses.l1(rgb, target.rgb, target.visible_mask)
         if settings.lambda_mask:
