@@ -161,8 +161,8 @@ def test_the_robust_fit_is_at_the_bottom_of_its_cost(film, faces, rest):
     views = film(Correction((0.3, 0.2)))[::6]
     data = measure_offsets(views, faces, Correction())
     keep = np.arange(0, len(data), 17)
-    few = Offsets(*(part[keep] for part in (
-        data.fields, data.offsets, data.vertices, data.pixels_per_metre, data.groups)), data.size)  # fmt: skip
+    names = ("fields", "moves", "offsets", "vertices", "pixels_per_metre", "groups")
+    few = Offsets(*(getattr(data, name)[keep] for name in names), data.size)
     places = tuple(registration._nearest(rest, count) for count in (3, 7))
     fit = registration._Fit(few, places)
     normal = fit._normal + np.diag(fit._prior)
@@ -227,3 +227,34 @@ def test_corrections_scale_with_the_picture():
     torch.testing.assert_close(changed.K[:2, 2], K[:2, 2] + torch.tensor([0.5, -1.0]))
     torch.testing.assert_close(changed.K[0, 0], K[0, 0] * 1.01)
     assert Correction().corrected(camera()).K.equal(K)
+
+
+def from_sides(body, faces, rest, lack: Correction, misplaced: np.ndarray, sides: int) -> list[View]:
+    """Views of cameras around the person; cameras lack something, or the body lies elsewhere than it is said to."""
+    views = []
+    for k in range(24):
+        side = k % sides
+        turn = np.eye(4)
+        angle = 2 * np.pi * side / 8
+        turn[[0, 0, 2, 2], [0, 2, 0, 2]] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
+        seen_by = replace(camera(), viewmat=(camera().viewmat.double() @ torch.from_numpy(turn)).float())
+        vertices = moved(body, k, turns=True)
+        surface = vertices + clothes(rest)[:, None] * vertex_normals(vertices, faces) + misplaced
+        views.append(View(side, vertices, seen_by, shown(surface, faces, lack.corrected(seen_by))))
+    return views
+
+
+@pytest.mark.parametrize(
+    ("lack", "misplaced", "sides", "confirmed"),
+    [
+        (Correction((0.6, 0.0)), (0.0, 0.0, 0.0), 8, True),
+        (Correction(), (0.012, 0.0, 0.0), 8, False),
+        (Correction(), (0.0, 0.015, 0.0), 8, False),
+        (Correction(), (0.012, 0.0, 0.0), 1, False),  # a camera at the same place sees the same
+    ],
+)
+def test_a_body_elsewhere_is_no_confirmation(body, faces, rest, lack, misplaced, sides, confirmed):
+    suspected = Correction((0.6, 0.0)) if misplaced[1] == 0 else Correction((0.0, -0.9))
+    views = from_sides(body, faces, rest, lack, np.array(misplaced), sides)
+    share, error = agreement(views, [suspected] * len(views), faces, rest, or_misplaced=True)
+    assert (share >= 0.5 and share >= 4 * error) == confirmed, (share, error)

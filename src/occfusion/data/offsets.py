@@ -44,10 +44,12 @@ class Offsets:
     """Points of outlines of many views, `[N]` each.
 
     `fields` are the pixels by which a unit of each unknown moves a point along its normal, `[N, 3]`: shift in x,
-    shift in y, scale. `size` is the person's in the picture, pixels.
+    shift in y, scale. `moves` are those by which a metre along each axis of the world does. `size` is the person's in
+    the picture, pixels.
     """
 
     fields: Floats
+    moves: Floats
     offsets: Floats
     vertices: Ints
     pixels_per_metre: Floats
@@ -90,18 +92,22 @@ def measure_offsets(views: Iterable[View], faces: Ints, correction: Correction) 
         vertices = faces[face, 0]
         to_point = found.points + corner - K[:2, 2]
         scale = (to_point * found.normals).sum(axis=1)
-        parts.append(
-            (
-                np.column_stack([found.normals, scale]), found.offsets, vertices,
-                K[0, 0] / depth[vertices], np.full(len(vertices), view.group), size,
-            )
-        )  # fmt: skip
+        per_metre = K[0, 0] / depth[vertices]
+        # the derivative of a projected point by its place in the world, along the normal
+        moves = per_metre[:, None] * (
+            found.normals @ viewmat[:2, :3] - (scale / K[0, 0])[:, None] * viewmat[2, :3]
+        )
+        fields = np.column_stack([found.normals, scale])
+        group = np.full(len(vertices), view.group)
+        parts.append((fields, moves, found.offsets, vertices, per_metre, group, size))
     if not parts:
-        return Offsets(np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0), np.zeros(0, int), 0.0)
-    fields, offsets, vertices, per_metre, groups = (
-        np.concatenate([part[k] for part in parts]) for k in range(5)
+        none, nowhere = np.zeros(0), np.zeros((0, 3))
+        return Offsets(nowhere, nowhere, none, none.astype(int), none, none.astype(int), 0.0)
+    fields, moves, offsets, vertices, metre, groups = (
+        np.concatenate([p[k] for p in parts]) for k in range(6)
     )
-    return Offsets(fields, offsets, vertices, per_metre, groups, float(np.median([p[5] for p in parts])))
+    size = float(np.median([part[6] for part in parts]))
+    return Offsets(fields, moves, offsets, vertices, metre, groups, size)
 
 
 def _window(ahead: Floats, shape: tuple[int, ...], margin: float) -> tuple[int, int, int, int] | None:

@@ -64,7 +64,8 @@ def register_scene(
 
     What is corrected in the training camera is measured on training pictures alone. Other cameras are given the same
     correction if they need it, for a convention is one for all. Their masks say that, and they confirm a shift that
-    wrong poses might explain as well: these look another way from each side. They say nothing else.
+    wrong poses might explain as well: these look another way from each side, so that what a body elsewhere in the world
+    would explain is no confirmation. They say nothing else.
 
     Args:
         prepared: the scene.
@@ -84,7 +85,7 @@ def register_scene(
     corrections = {own: correction} if is_certain else {}
     others = [view for view in prepared.test_views if view[1] != own]
     asked = [others[k] for k in _spread(len(others), HELD_OUT_VIEWS)]
-    held_out = _agreement(asked, correction, views, poser, faces, rest)
+    held_out = _agreement(asked, correction, views, poser, faces, rest, or_misplaced=not is_certain)
     if (
         held_out is not None
         and held_out[0] >= AGREED
@@ -107,6 +108,8 @@ def _agreement(
     poser: Poser,
     faces: NDArray[np.int64],
     rest: NDArray[np.float64],
+    *,
+    or_misplaced: bool,
 ) -> tuple[float, float] | None:
     shown, corrections = [], []
     for frame, camera in asked:
@@ -114,7 +117,7 @@ def _agreement(
         vertices = poser.pose(views.parameters(frame))[0]
         shown.append(View(camera, vertices, found.camera, found.visible_mask.numpy()))
         corrections.append(correction.resized(lens.size[0] / lens.source[0]))
-    return agreement(shown, corrections, faces, rest) if shown else None
+    return agreement(shown, corrections, faces, rest, or_misplaced=or_misplaced) if shown else None
 
 
 def _spread(count: int, wanted: int) -> list[int]:

@@ -19,7 +19,7 @@ neighbouring poses are alike, and of the prior, and of what was measured on peop
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,8 @@ STANDS_OFF = 0.01
 """Metres: what clothes, hair and shoes of a part, or of a patch of it, stand off more or less than others."""
 MEAN_STANDS_OFF = 0.02
 """Metres: of the person as a whole."""
+MISPLACED = 0.05
+"""Metres along each axis: by how much an estimator puts a whole body elsewhere."""
 CORRELATED = 3.0
 """Neighbouring pixels of an outline err alike: so many of them count as one."""
 LEAST_NOISE = 0.2
@@ -73,7 +75,8 @@ class Registration:
         shift_error: standard errors of `shift`.
         scale_error: of `scale`.
         correction: what is certain of it, or likely where something is; nothing if nothing is certain.
-        suspected: the same from a lower certainty on, for others to confirm.
+        suspected: a shift of lower certainty, for other cameras to confirm. No scale, which they cannot: a body of the
+            wrong size is too large in all of them.
         frames: pictures that were measured.
         points: of outlines in them.
     """
@@ -127,14 +130,19 @@ def register(views: Sequence[View], faces: Ints, rest: Floats) -> Registration |
         shift_error=(float(error[0]), float(error[1])),
         scale_error=float(error[2]),
         correction=_taken(total, error, CERTAIN),
-        suspected=_taken(total, error, SUSPECTED),
+        suspected=_taken(total * (1.0, 1.0, 0.0), error, SUSPECTED),
         frames=len(views),
         points=len(data),
     )
 
 
 def agreement(
-    views: Sequence[View], corrections: Sequence[Correction], faces: Ints, rest: Floats
+    views: Sequence[View],
+    corrections: Sequence[Correction],
+    faces: Ints,
+    rest: Floats,
+    *,
+    or_misplaced: bool = False,
 ) -> tuple[float, float] | None:
     """Returns how much of a correction other cameras ask for: 1 all of it, 0 nothing; and its standard error.
 
@@ -143,6 +151,7 @@ def agreement(
         corrections: the same correction, at the size of each view.
         faces: of the body, `[F, 3]`.
         rest: its vertices at rest, `[V, 3]`, metres.
+        or_misplaced: the body may lie elsewhere in the world instead; only what that does not explain is asked for.
 
     Returns:
         None where outlines tell too little.
@@ -153,11 +162,13 @@ def agreement(
     by_group = {view.group: correction for view, correction in zip(views, corrections, strict=True)}
     amounts = np.array([[*by_group[int(g)].shift, by_group[int(g)].scale] for g in data.groups])
     along = (data.fields * amounts).sum(axis=1, keepdims=True)
-    moved = Offsets(along, data.offsets, data.vertices, data.pixels_per_metre, data.groups, data.size)
-    fit = _Fit(moved, _places(rest))
+    held = np.zeros(1)
+    if or_misplaced:
+        along, held = np.column_stack([along, data.moves]), np.array([0.0, *[MISPLACED**-2] * 3])
+    fit = _Fit(replace(data, fields=along), _places(rest), held)
     groups = np.unique(data.groups)
     blocks = np.searchsorted(groups, data.groups) % min(BLOCKS, len(groups))
-    spread = fit.left_out(blocks) if len(groups) > 1 else np.zeros(1)
+    spread = fit.left_out(blocks) if len(groups) > 1 else np.zeros(len(held))
     return float(fit.unknowns[0]), float(np.sqrt(spread + fit.prior_variance())[0])
 
 
@@ -189,12 +200,17 @@ def _blocks(groups: Ints) -> Ints:
 class _Fit:
     """The robust fit: a Gaussian posterior of the unknowns, and of what stands off.
 
+    Args:
+        data: what is fitted.
+        places: part and patch of each vertex.
+        held: precisions about 0 of the unknowns; none when None.
+
     Attributes:
         count: number of unknowns.
         noise: standard deviation of the offsets about the fit, robustly, pixels.
     """
 
-    def __init__(self, data: Offsets, places: tuple[Ints, Ints]) -> None:
+    def __init__(self, data: Offsets, places: tuple[Ints, Ints], held: Floats | None = None) -> None:
         part, patch = (place[data.vertices] for place in places)
         parts, patches = int(places[0].max()) + 1, int(places[1].max()) + 1
         rows, per_metre = np.arange(len(data)), data.pixels_per_metre
@@ -209,7 +225,7 @@ class _Fit:
         self._offsets = data.offsets
         self._prior = np.concatenate(
             [
-                np.zeros(self.count),
+                np.zeros(self.count) if held is None else held,
                 [MEAN_STANDS_OFF**-2],
                 np.full(parts + patches, STANDS_OFF**-2),
             ]
