@@ -89,9 +89,8 @@ def test_the_whole_system_leaves_it_out_where_masks_are_complete(
 
 
 def test_terms_come_when_the_settings_say(train: Train, calls: list[tuple[int, str, float]]) -> None:
-    options = ("optim.sds.every=2", "optim.sds.start_step=3", "optim.sds.posed_probability=0")
-    train("variant=D", SHORT, *options)
-    assert [(step, name) for step, name, _ in calls] == [(4, "sds_can")]
+    train("variant=D", SHORT, "optim.sds.every=2", "optim.sds.posed_probability=0")
+    assert [(step, name) for step, name, _ in calls] == [(0, "sds_can"), (2, "sds_can"), (4, "sds_can")]
 
 
 @pytest.mark.parametrize("variant", ["gauhuman", "A", "B"])

@@ -292,4 +292,3 @@ def _check_sds_ranges(sds: SdsSettings) -> None:
     _check_range("optim.sds.t_max", sds.t_max, sds.t_min, 1.0)
     _check_range("optim.sds.guidance", sds.guidance, 0.0, 1000.0)
     _check_range("optim.sds.every", sds.every, 1, 10_000)
-    _check_range("optim.sds.start_step", sds.start_step, 0, 10_000_000)

@@ -110,7 +110,6 @@ class SdsSettings:
         where: `hidden`: only pixels that are neither seen to show the person nor known background are pushed;
             `everywhere`. In the canonical pose nothing is known.
         evidence: whether the prior is told what is seen, if it takes that.
-        start_step: first step with the term.
     """
 
     lambda_pose: float = 1e4
@@ -125,7 +124,6 @@ class SdsSettings:
     every: int = 2
     where: str = "hidden"
     evidence: bool = True
-    start_step: int = 0
 
     @property
     def is_used(self) -> bool:

@@ -96,7 +96,7 @@ class Distiller(Generic[T]):
             NumericsError: the score is not finite.
         """
         settings = self.settings
-        if step < settings.start_step or step % settings.every:
+        if step % settings.every:
             return {}
         generator = torch.Generator().manual_seed(self.seed * 1_000_033 + step)
         is_posed = float(torch.rand((), generator=generator)) < settings.posed_probability
