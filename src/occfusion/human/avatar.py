@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -25,9 +25,6 @@ from occfusion.human.shading import brightness, seen_colors
 from occfusion.splat import Limits
 from occfusion.types import Cloud, Pose
 
-ShFrame = Literal["canonical", "world"]
-SH_FRAMES: tuple[ShFrame, ...] = ("canonical", "world")
-
 
 class Avatar(nn.Module):
     """A person as Gaussians on a body.
@@ -42,8 +39,6 @@ class Avatar(nn.Module):
         learn_skinning: learn offsets to the skinning weights.
         skinning_every: the skinning network costs more than all else here, so in training it is evaluated, and learns,
             at every k-th step only (`prepare`); between, its last values stand. Without gradients it always is.
-        sh_frame: frame in which viewing directions are given to the harmonics: `canonical`, turned back with each
-            Gaussian, so that colours turn with the limbs; or `world`, in which a fixed light is better kept.
         key_light: by which colours change as surfaces turn, `[3]`, see `shading.brightness`; given, not learned.
         dilation: of the splats in pictures, square pixels (`splat.Limits`).
         gaussians: the Gaussians; one on each vertex of the body when None.
@@ -65,14 +60,11 @@ class Avatar(nn.Module):
         pose_spline: PoseSpline | None = None,
         learn_skinning: bool = True,
         skinning_every: int = 4,
-        sh_frame: str = "canonical",
         key_light: Tensor | None = None,
         dilation: float = Limits.dilation,
         gaussians: Gaussians | None = None,
     ) -> None:
         super().__init__()
-        if sh_frame not in SH_FRAMES:
-            raise ConfigError(f"sh_frame: {sh_frame!r} is not one of {', '.join(SH_FRAMES)}")
         if skinning_every < 1:
             raise ConfigError(f"skinning_every: {skinning_every} is not at least 1")
         self.body = body
@@ -81,7 +73,6 @@ class Avatar(nn.Module):
         self.pose_spline = pose_spline
         self.skinning_field = SkinningField() if learn_skinning else None
         self.skinning_every = skinning_every
-        self.sh_frame = sh_frame
         self.dilation = dilation
         self.register_buffer("da_vertices", body.da_vertices(), persistent=False)
         self.register_buffer("da_transforms", body.da_transforms(), persistent=False)
@@ -158,12 +149,15 @@ class Avatar(nn.Module):
     def forward(self, pose: Pose, camera_centre: Tensor) -> Cloud:
         """Returns the Gaussians in a pose, world coordinates, coloured for a camera at `camera_centre [3]`.
 
+        Viewing directions are turned back with each Gaussian, so that colours turn with the limbs.
+
         Raises:
             DataError: the pose has another number of joints, or more betas than the body.
         """
         carried = self.deform(pose)
-        turned = carried.linear if self.sh_frame == "canonical" else None
-        colors = seen_colors(self.gaussians, self._active_sh_degree, carried.means, camera_centre, turned)
+        colors = seen_colors(
+            self.gaussians, self._active_sh_degree, carried.means, camera_centre, carried.linear
+        )
         shade = self.brightness(carried)
         if shade is not None:
             colors = colors * shade[:, None]
@@ -217,7 +211,7 @@ class Avatar(nn.Module):
             c, s = math.cos(angle), math.sin(angle)
             turn = means.new_tensor([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
             means, roots = means @ turn.T, turn @ roots
-        turned = None if turn is None or self.sh_frame != "canonical" else turn.unsqueeze(-1)
+        turned = None if turn is None else turn.unsqueeze(-1)
         colors = seen_colors(self.gaussians, self._active_sh_degree, means, camera_centre, turned)
         return Cloud(means, roots @ roots.transpose(1, 2), self.gaussians.opacities, colors, self.dilation)
 

@@ -21,6 +21,8 @@ from occfusion.splat import Limits
 
 FORMAT = "occfusion avatar"
 VERSION = 1
+SH_FRAME = "canonical"
+"""The frame that viewing directions are turned to; files name it, and some older ones were made in another."""
 _KEPT_FOR_TRAINING = ("skinning_offsets", "_extra_state")
 """Parts of the state that only the middle of a training needs."""
 
@@ -38,7 +40,7 @@ def save_avatar(path: Path | str, avatar: Avatar) -> None:
         "gaussians": avatar.gaussians.num_gaussians,
         "sh_degree": avatar.gaussians.sh_degree,
         "active_sh_degree": avatar.active_sh_degree,
-        "sh_frame": avatar.sh_frame,
+        "sh_frame": SH_FRAME,
         "key_light": avatar.key_light is not None,
         "dilation": avatar.dilation,
         "refine_pose": avatar.pose_refiner is not None,
@@ -106,6 +108,11 @@ def _description(path: Path, metadata: dict[str, str] | None) -> dict[str, Any]:
             f"{path}: written in version {description.get('version')} of the format, "
             f"this program reads {VERSION}"
         )
+    if description.get("sh_frame") != SH_FRAME:
+        raise CheckpointError(
+            f"{path}: its colours are by viewing directions in the frame {description.get('sh_frame')!r}, this program "
+            f"has them in {SH_FRAME!r} alone; train the avatar again"
+        )
     return description
 
 
@@ -119,7 +126,6 @@ def _empty_avatar(body: Body, description: dict[str, Any]) -> Avatar:
         and PoseSpline(float(spline["first"]), float(spline["spacing"]), int(spline["knots"])),
         learn_skinning=bool(description["learn_skinning"]),
         skinning_every=int(description["skinning_every"]),
-        sh_frame=str(description["sh_frame"]),
         # absent, as the spline is, from files that are older, and so is what follows
         key_light=start.new_zeros(3) if description.get("key_light") else None,
         dilation=float(description.get("dilation", Limits.dilation)),

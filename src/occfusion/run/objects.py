@@ -171,7 +171,6 @@ def _make_avatar(planned: Settings, data: HumanDataModule, body: Body, key_light
         pose_spline=PoseSpline.over(data.train_indices, optim.pose_knots) if optim.pose_knots else None,
         learn_skinning=optim.learn_skinning,
         skinning_every=optim.skinning_every,
-        sh_frame=optim.sh_frame,
         key_light=lamp,
         dilation=optim.dilation,
         gaussians=Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness),

@@ -234,7 +234,6 @@ def _check_choices(settings: Settings) -> None:
     _check_in("perceptual.precision", settings.perceptual.precision, PRECISIONS)
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
-    _check_in("optim.sh_frame", settings.optim.sh_frame, ("canonical", "world"))
     sds = settings.optim.sds
     _check_in("optim.sds.weighting", sds.weighting, WEIGHTINGS)
     _check_in("optim.sds.schedule", sds.schedule, SCHEDULES)

@@ -192,7 +192,6 @@ class OptimSettings(AvatarSettings):
         lambda_lpips: weight of the perceptual term.
         mask_hidden: weight of complete masks in the mask term where the person may be hidden, 0..1; the paper: 1.
         gaussians: at the start, at least (`Gaussians.on_body`); 0: one on each vertex of the body.
-        sh_frame: what viewing directions turn with: `canonical`: the body; `world`: nothing.
         dilation: of the splats in pictures, square pixels; 3DGS: 0.3. Its pictures and the refinement's have the same.
         thickness: of the Gaussians at the start, which then lie flat on the body, m; 0: they are round.
         observed_colors: Gaussians start with the colours that the video shows, instead of grey; the paper: grey.
@@ -211,7 +210,6 @@ class OptimSettings(AvatarSettings):
     lambda_ssim: float = 1e3
     lambda_lpips: float = 1e3
     gaussians: int = 20_000
-    sh_frame: str = "canonical"
     dilation: float = 0.02
     thickness: float = 0.002
     observed_colors: bool = True
