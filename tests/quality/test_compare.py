@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from occfusion.__main__ import main
-from occfusion.compare.figures import seconds_to_reach, summarise_scenes, summarise_seeds
+from occfusion.compare.figures import seconds_to_reach, summarise_scenes, summarise_seeds, targets
 from occfusion.compare.grid import picture_grid
 from occfusion.compare.methods import method_settings, methods
 from occfusion.compare.reading import CurvePoint, find_runs, read_run, read_runs
@@ -90,6 +90,20 @@ def test_a_preset_stands_for_what_it_sets(tmp_path: Path) -> None:
     write_run(tmp_path / "c", **{**fast, "optim": {"steps": 2, "rate": 2, "x": 3}})
     runs, _ = read_runs(find_runs([tmp_path]))
     assert "A optim.steps=2 speed=fast" in methods(runs)
+
+
+def test_recipes_are_methods_of_their_own(tmp_path: Path) -> None:
+    paper = {"recipe": {"name": "paper"}, "optim": {"steps": 1, "rate": 2, "x": 3}}
+    write_run(tmp_path / "a", optim={"steps": 100, "rate": 1, "x": 1}, recipe={"name": "ours"})
+    write_run(tmp_path / "b", **paper)
+    write_run(tmp_path / "c", seed=1, **paper)
+    runs, _ = read_runs(find_runs([tmp_path]))
+    assert sorted(methods(runs)) == ["A recipe=ours", "A recipe=paper", "A recipe=paper"]
+    assert {key[2] for key in targets(runs)} == {
+        "ours",
+        "paper",
+    }  # each recipe has an `A` of its own to be reached
+    assert sorted(s.seeds for s in summarise_seeds(runs)) == [1, 2]
 
 
 def test_perceptual_metrics_get_columns_of_their_own(tmp_path: Path) -> None:

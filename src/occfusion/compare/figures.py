@@ -98,13 +98,13 @@ def seconds_to_reach(curve: Sequence[CurvePoint], target: float) -> float | None
     return None
 
 
-def targets(runs: Iterable[RunRecord]) -> dict[tuple[str, str], float]:
-    """Returns variant A's final PSNR on the curve's images by (data set, scene), mean over its runs there."""
-    finals: dict[tuple[str, str], list[float]] = {}
+def targets(runs: Iterable[RunRecord]) -> dict[tuple[str, str, str], float]:
+    """Returns variant A's final PSNR on the curve's images by (data set, scene, recipe), mean over its runs there."""
+    finals: dict[tuple[str, str, str], list[float]] = {}
     for run in runs:
         measured = [p.values["psnr"] for p in run.curve if p.values["psnr"] is not None]
         if run.variant == TARGET_VARIANT and measured:
-            finals.setdefault((run.dataset, run.scene), []).append(float(measured[-1] or 0.0))
+            finals.setdefault((run.dataset, run.scene, run.recipe), []).append(float(measured[-1] or 0.0))
     return {key: sum(values) / len(values) for key, values in finals.items()}
 
 
@@ -117,7 +117,7 @@ def summarise_seeds(runs: Sequence[RunRecord]) -> list[Summary]:
         groups.setdefault(key, []).append(run)
     return [
         Summary("seeds", dataset, scene, method, name, len({run.seed for run in members}), 1,
-                _statistics([quantities(run, goal.get((dataset, scene))) for run in members]), {}, members[0].paper)
+                _statistics([quantities(run, goal.get((dataset, scene, run.recipe))) for run in members]), {}, members[0].paper)
         for (dataset, scene, method, name), members in groups.items()
     ]  # fmt: skip
 

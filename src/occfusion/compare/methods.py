@@ -12,7 +12,8 @@ NOT_A_DIFFERENCE = (
     "evaluation.", "trainer.enable_progress_bar", "trainer.checkpoint_every",
 )  # fmt: skip
 """Settings (or, with a dot at the end, groups) that do not make two runs of a variant different methods."""
-PRESET = "speed.name"
+PRESETS = ("recipe.name", "speed.name")
+"""Choices that stand for all that they set."""
 SPELT_OUT = 2
 """Up to so many differing settings stand in a method's name; with more, methods of a variant are numbered."""
 
@@ -47,17 +48,18 @@ def _named(runs: Sequence[RunRecord]) -> list[tuple[str, str]]:
 
 
 def _differing(configs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns the settings in which runs differ; the name of a speed preset stands for all that it sets."""
-    by_preset: dict[str, list[Mapping[str, Any]]] = {}
+    """Returns the settings in which runs differ; the name of a preset stands for all that it sets."""
+    by_preset: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for config in configs:
-        by_preset.setdefault(str(config.get(PRESET)), []).append(config)
+        by_preset.setdefault(tuple(config.get(preset) for preset in PRESETS), []).append(config)
     found = {
         key
         for alike in by_preset.values()
         for key in {key for config in alike for key in config}
         if len({str(config.get(key)) for config in alike}) > 1
     }
-    return sorted(found | ({PRESET} if len(by_preset) > 1 else set()))
+    chosen = {preset for preset in PRESETS if len({config.get(preset) for config in configs}) > 1}
+    return sorted(found | chosen)
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:

@@ -68,6 +68,11 @@ class RunRecord:
         return str(self.metrics["variant"])
 
     @property
+    def recipe(self) -> str:
+        """Which numbers and additions; "ours" for runs that came before there was a choice."""
+        return str((self.config.get("recipe") or {}).get("name", "ours"))
+
+    @property
     def seed(self) -> int:
         """The seed."""
         return int(self.config.get("seed", 0))

@@ -40,7 +40,7 @@ def perceptual_names(runs: Sequence[RunRecord]) -> list[str]:
 def run_grid(runs: Sequence[RunRecord]) -> Grid:
     """Returns header and one row a run."""
     names, goal = perceptual_names(runs), targets(runs)
-    known = [quantities(run, goal.get((run.dataset, run.scene))) for run in runs]
+    known = [quantities(run, goal.get((run.dataset, run.scene, run.recipe))) for run in runs]
     has_depth = any(values["full.depth_error_mm"] is not None for values in known)
     depth = [heading("depth_error_mm", None)] if has_depth else []
     header = ["scene", "variant", "seed", *_headings(names), *depth]

@@ -12,7 +12,7 @@ from typing import Any
 from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_bytes
 from occfusion.report.losses import LOSSES_NAME, SMOOTHED, plot_losses
-from occfusion.report.tables import METRICS, figure, figures_known, heading
+from occfusion.report.tables import METRICS, figure, figures_known, heading, run_title
 
 REGION_NOTES = {
     "full": "held-out cameras, whole frame over black",
@@ -93,7 +93,7 @@ def _head(metrics: Mapping[str, Any]) -> str:
         f"{stage} {seconds[stage]:.1f}" for stage in seconds if seconds[stage] and stage != "total"
     )
     return (
-        f"# {metrics['dataset']} {metrics['scene']}, variant {metrics['variant']}\n\n"
+        f"# {run_title(metrics)}\n\n"
         f"Trained in {seconds['total'] or 0.0:.1f} s ({parts or 'nothing trained'}); "
         f"{metrics['gaussians']} Gaussians; peak memory {metrics['peak_memory_mb']:.0f} MB; "
         f"evaluated on {metrics['images']} held-out images."

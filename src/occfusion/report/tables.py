@@ -41,10 +41,17 @@ def figures_known(metrics: Mapping[str, Any]) -> list[str]:
     return list(FIGURES if known else METRICS)
 
 
+def run_title(metrics: Mapping[str, Any]) -> str:
+    """Returns what a run is of: data set, scene, variant, and the recipe where it is not the default."""
+    recipe = metrics.get("recipe", "ours")
+    title = f"{metrics['dataset']} {metrics['scene']}, variant {metrics['variant']}"
+    return title if recipe == "ours" else f"{title}, recipe {recipe}"
+
+
 def print_summary(folder: Path, metrics: Mapping[str, Any]) -> None:
     """Prints one row a region, and the run folder."""
     name = metrics["perceptual_metric"]
-    table = Table(title=f"{metrics['dataset']} {metrics['scene']}, variant {metrics['variant']}")
+    table = Table(title=run_title(metrics))
     table.add_column("region")
     shown = figures_known(metrics)
     for metric in shown:

@@ -56,6 +56,7 @@ def evaluate_run(
         "dataset": settings.dataset["name"],
         "scene": data.scene_name,
         "variant": settings.variant.name,
+        "recipe": settings.recipe.name,
         "images": images,
         "regions": summarise(rows),
         "perceptual_metric": None if perceptual is None else perceptual.name,
