@@ -117,7 +117,8 @@ def summarise_seeds(runs: Sequence[RunRecord]) -> list[Summary]:
         groups.setdefault(key, []).append(run)
     return [
         Summary("seeds", dataset, scene, method, name, len({run.seed for run in members}), 1,
-                _statistics([quantities(run, goal.get((dataset, scene, run.recipe))) for run in members]), {}, members[0].paper)
+                _statistics([quantities(run, goal.get((dataset, scene, run.recipe))) for run in members]), {},
+                members[0].paper)
         for (dataset, scene, method, name), members in groups.items()
     ]  # fmt: skip
 
