@@ -45,7 +45,8 @@ def test_ocmotion_is_measured_on_visible_pixels(source: Source, tmp_path: Path) 
     )
     regions = metrics["regions"]
     assert metrics["dataset"] == "ocmotion" and metrics["images"] == 0
-    assert regions["visible"]["psnr"] > 5 and regions["visible"]["mask_iou"] is None
+    # 21.5 dB; nobody there or a black person: 8.8, a person 0.4 m from its place: 9.4
+    assert regions["visible"]["psnr"] > 17 and regions["visible"]["mask_iou"] is None
     assert regions["full"]["psnr"] is None and regions["hidden"]["psnr"] is None
     scene = json.loads((tmp_path / "run" / "plan.json").read_text())["scene"]
     assert scene["visible_share_is"] == "estimated" and scene["frames"] == 2  # every second of four
@@ -58,7 +59,8 @@ def test_video_with_held_out_frames(source: Source, tmp_path: Path) -> None:
         "dataset.occluded=false", "dataset.test_cameras=[0]", "dataset.train_frames=[0,3,1]",
         "dataset.test_frames=[3,4,1]",
     )  # fmt: skip
-    assert metrics["images"] == 1 and metrics["regions"]["full"]["psnr"] > 5
+    # 31.1 dB; nobody there or a black person: 20.3, a person 0.4 m from its place: 18.8
+    assert metrics["images"] == 1 and metrics["regions"]["full"]["psnr"] > 27
 
 
 def test_frames_in_which_somebody_else_hides_the_person(source: Source, tmp_path: Path) -> None:

@@ -40,7 +40,9 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
 def test_fast_dev_run(train: Train, variant: str, stage: str) -> None:
     folder, metrics = train(f"variant={variant}", f"stage={stage}", "trainer.fast_dev_run=true")
     assert metrics["variant"] == variant
-    assert metrics["regions"]["full"]["psnr"] > 5
+    # 32.8 to 34.3 dB; nobody there or a black person: 22.3, a person 0.4 m from its place: 20.4
+    assert metrics["regions"]["full"]["psnr"] > 29
+    assert metrics["regions"]["full"]["mask_iou"] > 0.9  # 0.945 to 0.955
     assert not (folder / "optim" / "last.ckpt").exists()
 
 

@@ -138,7 +138,8 @@ def test_training_where_the_lens_zooms(wild, source, tmp_path):
     with initialize_config_dir(str(conf), version_base="1.3"):
         overrides = [f"body.path={source.folder / 'body.npz'}", f"output_dir={tmp_path / 'run'}", *light]
         metrics = app.run(compose("config", overrides), folder_chosen_by_user=True)
-    assert metrics["regions"]["visible"]["psnr"] > 5
+    # 15.9 dB; nobody there or a black person: 5.2, a person 0.4 m from its place: 6.0
+    assert metrics["regions"]["visible"]["psnr"] > 12 and metrics["regions"]["visible"]["mask_iou"] > 0.85
 
 
 def test_another_body_is_refused_in_millimetres(source, smpl, other, tmp_path):
