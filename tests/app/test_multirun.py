@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -45,15 +44,12 @@ def test_table_failures_and_no_second_run(tmp_path: Path, scene_root: Path) -> N
     files = sorted(tmp_path.glob("runs/zju/001-clean/A*/metrics.json"))
     assert [file.parent.name for file in files] == ["A", "A-2"]
     stamps = [file.stat().st_mtime_ns for file in files]
-    started = time.monotonic()
     again = train(tmp_path, "variant=A", "seed=0,1", *scene)
-    seconds = time.monotonic() - started
     assert again.returncode == 0, again.stderr
     assert again.stdout.count("finished before, taken from") == 2
     assert [file.stat().st_mtime_ns for file in files] == stamps
     assert "without a result" not in again.stdout
     assert len(list((tmp_path / "sweep" / "jobs").iterdir())) == 2  # none of the earlier sweep
-    assert seconds < 60  # 7 s on a quiet machine; training would import and compile for longer
     os.utime(scene_root / "001-clean" / "body.npz")  # the data may have changed: they are looked at again
     third = train(tmp_path, "variant=A", "seed=0", *scene)
     assert third.returncode == 0, third.stderr
