@@ -8,11 +8,13 @@ from typing import Any
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 from safetensors.torch import load_file
 
 from occfusion.compare.reading import find_runs
 from occfusion.errors import ConfigError
 from occfusion.files.images import read_mask
+from occfusion.run.loaded import load_run
 from occfusion.stages.targets import Target
 from occfusion.types import Box, Frame
 
@@ -155,6 +157,23 @@ def test_same_seed_same_avatar_other_seed_another(train: Train) -> None:
     c, _ = train("optim.steps=3", "seed=1", folder="c")
     assert_same(parameters(a), parameters(b))
     assert not torch.equal(parameters(a)["gaussians.means"], parameters(c)["gaussians.means"])
+
+
+def test_a_run_from_before_settings_were_removed_is_read(train: Train) -> None:
+    folder, _ = train("optim.steps=2")
+    expected, config = load_run(folder), OmegaConf.load(folder / "config.yaml")
+    earlier = {"trainer.strategy": "auto", "optim.lambda_correction": 0.0, "refine.lambda_correction": 0.0,
+               "optim.sds.start_step": 0, "optim.sh_frame": "canonical"}  # fmt: skip
+    for key, value in earlier.items():
+        OmegaConf.update(config, key, value)
+    OmegaConf.save(config, folder / "config.yaml")
+    found = load_run(folder)
+    assert found.settings == expected.settings
+    assert_same(found.avatar.gaussians.state_dict(), expected.avatar.gaussians.state_dict())
+    OmegaConf.update(config, "optim.no_such_setting", 1)
+    OmegaConf.save(config, folder / "config.yaml")
+    with pytest.raises(ConfigError, match="no_such_setting"):
+        load_run(folder)
 
 
 def test_non_finite_loss_stops_and_keeps_the_last_good_state(

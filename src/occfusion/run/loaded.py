@@ -15,6 +15,14 @@ from occfusion.run.compose import make_body
 from occfusion.settings.schema import STAGES, Settings, load_settings
 from occfusion.types import Pose
 
+REMOVED = (
+    "trainer.strategy", "optim.lambda_correction", "refine.lambda_correction", "optim.sds.start_step", "optim.sh_frame"
+)  # fmt: skip
+"""Settings in earlier runs' `config.yaml` that no longer exist; a trained avatar does not depend on them.
+
+Its file names the frame that `sh_frame` chose, and is refused where that is another.
+"""
+
 
 @dataclass(frozen=True)
 class FinishedRun:
@@ -42,6 +50,11 @@ def load_run(folder: Path) -> FinishedRun:
     if not (folder / "config.yaml").is_file():
         raise CheckpointError(f"{folder} is not a run folder: config.yaml is missing")
     config = OmegaConf.load(folder / "config.yaml")
+    for key in REMOVED:
+        group, _, name = key.rpartition(".")
+        found = OmegaConf.select(config, group)
+        if OmegaConf.is_dict(found):
+            found.pop(name, None)
     settings = load_settings(config)  # type: ignore[arg-type]
     for stage in reversed(STAGES):
         file = folder / stage / "avatar.safetensors"
