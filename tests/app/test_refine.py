@@ -192,10 +192,10 @@ def test_an_unoccluded_scene_is_neither_completed_nor_inpainted(
         raise AssertionError("a prior was loaded although nothing is hidden")
 
     for place in (
-        "init_run.make_mask_prior", "refine_run.make_inpainter", "avatar_run.make_score_prior",
-        "run_objects.check_inpainter", "run_objects.check_score_prior",
+        "masks.make_mask_prior", "references.make_inpainter", "stages.make_score_prior",
+        "objects.check_inpainter", "objects.check_score_prior",
     ):  # fmt: skip
-        monkeypatch.setattr(f"occfusion.{place}", fail)
+        monkeypatch.setattr(f"occfusion.run.{place}", fail)
     folder, metrics = train(*SHORT, "refine.source=prior", "dataset.occlusion.kind=none")
     assert not (folder / "masks").exists() and not (folder / "inpainted").exists()
     assert (folder / "refine" / "avatar.safetensors").is_file()
