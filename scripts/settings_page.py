@@ -191,7 +191,7 @@ def _of_dataset(name: str) -> list[Setting]:
 
 def _of_occlusion(dataset: str) -> list[Setting]:
     values = composed(f"dataset={dataset}")["dataset"]["occlusion"]
-    comments = commented(CONF / "dataset" / f"{dataset}.yaml")
+    comments = commented(CONF / "occlusion" / "strip.yaml")
     hints, sentences = typing.get_type_hints(OcclusionSettings), described(OcclusionSettings.__doc__)
     return [
         Setting(
@@ -199,7 +199,7 @@ def _of_occlusion(dataset: str) -> list[Setting]:
             kind_in_words(hints[key]),
             value_in_words(value),
             "",
-            comments.get(f"occlusion.{key}") or sentences[key],
+            comments.get(key) or sentences[key],
         )
         for key, value in values.items()
     ]

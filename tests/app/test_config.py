@@ -204,3 +204,5 @@ def test_every_dataset_lets_its_occlusion_be_set(dataset: str) -> None:
     defaults = OcclusionSettings.parse(settings_of(f"dataset={dataset}").dataset["occlusion"])
     assert defaults == OcclusionSettings(defaults.kind)
     assert settings_of(f"dataset={dataset}", "dataset.occlusion=none").dataset["occlusion"] == "none"
+    chosen = settings_of(f"dataset={dataset}", "occlusion@dataset.occlusion=none").dataset["occlusion"]
+    assert OcclusionSettings.parse(chosen) == OcclusionSettings("none")
