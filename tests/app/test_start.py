@@ -12,7 +12,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from occfusion.data.handful import spread
+from occfusion.data.sampling import spread
 from occfusion.human.rendering import render_frame
 from occfusion.run.compose import make_body, make_data
 from occfusion.run.loaded import load_run

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from made_up_person import FRONT, made_up_observation
-from occfusion.priors.bodyview import project, view_body
+from occfusion.geometry.camera import project_vertices
+from occfusion.priors.bodyview import view_body
 from occfusion.priors.canvas import COLORS, LIMB_BRIGHTNESS, draw_canvas, draw_keypoints
 from occfusion.priors.keypoints import LIMBS, MIRRORED, NAMES, see_keypoints
 
@@ -119,7 +120,7 @@ def test_a_shown_point_must_be_finite() -> None:
 def test_joint_behind_the_body_is_not_drawn() -> None:
     frame = made_up_observation()
     camera = frame.camera
-    projected = project(frame.vertices, camera.viewmat.numpy(), camera.K.numpy())
+    projected = project_vertices(frame.vertices, camera.viewmat.numpy(), camera.K.numpy())
     depth = view_body(*projected, frame.faces, camera.width, camera.height).depth
     points = frame.keypoints.copy()
     points[WRISTS[0]] = (0.0, 0.2, points[0, 2] + 0.6)

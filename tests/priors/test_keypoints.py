@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from occfusion.geometry.camera import project_vertices
 from occfusion.human.body import embedded_body
-from occfusion.priors.bodyview import project, view_body
+from occfusion.priors.bodyview import view_body
 from occfusion.priors.keypoints import (
     LIMBS,
     MIRRORED,
@@ -73,7 +74,9 @@ def test_a_hand_behind_the_back_is_dropped_for_the_camera_in_front() -> None:
     viewmat[:3, :3] = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
     viewmat[2, 3] = 3.0
     view = Camera(viewmat, camera().K, SIZE, SIZE)
-    pixels, depths = project(vertices.double().numpy(), viewmat.double().numpy(), view.K.double().numpy())
+    pixels, depths = project_vertices(
+        vertices.double().numpy(), viewmat.double().numpy(), view.K.double().numpy()
+    )
     surface = view_body(pixels, depths, body.faces.numpy(), SIZE, SIZE).depth
     seen = see_keypoints(points, view, surface)
     assert not seen.shown[wrist]

@@ -7,11 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from occfusion.geometry.camera import look_at
+from occfusion.geometry.camera import look_at, project_vertices
 from occfusion.human import Avatar, embedded_body
 from occfusion.human.body import Body
 from occfusion.human.gaussians import Gaussians
-from occfusion.priors.bodyview import project, view_body
+from occfusion.priors.bodyview import view_body
 from occfusion.priors.corpus import draw_poses
 from occfusion.priors.embedded_score import EmbeddedScore
 from occfusion.priors.hiding import half_plane
@@ -53,7 +53,7 @@ def make_shots() -> list[Shot]:
         eye = middle + np.array([1.0, 0.3, 3.5])
         viewmat = look_at(torch.tensor(eye), torch.tensor(middle), torch.tensor([0.0, 1.0, 0.0]).double())
         K = torch.tensor([[1.6 * SIZE, 0, SIZE / 2], [0, 1.6 * SIZE, SIZE / 2], [0, 0, 1.0]]).double()
-        seen = view_body(*project(person, viewmat.numpy(), K.numpy()), figure.faces, SIZE, SIZE)
+        seen = view_body(*project_vertices(person, viewmat.numpy(), K.numpy()), figure.faces, SIZE, SIZE)
         whole = seen.coverage > 0.5
         columns = np.nonzero(whole)[1]
         hidden = half_plane(SIZE, np.array([columns.mean(), 0.0]), 0.0)
@@ -74,7 +74,9 @@ def stand_out(points: Tensor, body: Body) -> Tensor:
     beside = torch.zeros(len(points))
     for turn in range(CANONICAL_ANGLES):
         view = view_canonical(body, turn, 128)
-        pixels, _ = project(points.double().numpy(), view.camera.viewmat.numpy(), view.camera.K.numpy())
+        pixels, _ = project_vertices(
+            points.double().numpy(), view.camera.viewmat.numpy(), view.camera.K.numpy()
+        )
         columns, rows = np.clip(pixels.astype(int), 0, 127).T
         beside += torch.from_numpy(view.body().coverage[rows, columns] == 0.0)
     return beside >= CANONICAL_ANGLES / 3

@@ -1,6 +1,6 @@
 """Stand-ins that pickle as chumpy's own objects do, in Python 2 as in Python 3, without chumpy.
 
-mattloper/chumpy@51d5afd9 (version 0.70), `chumpy/ch.py` and `chumpy/reordering.py`. Read there:
+mattloper/chumpy@ceebb48d, and version 0.70 as installed, `chumpy/ch.py` and `chumpy/reordering.py`. Read there:
 
 * `Ch.__new__` gives every object `_dirty_vars` (a set: the names of parts that changed since the last evaluation, so
   `{"x"}` on a fresh array and empty on a used one), `_itr`, `_make_dense`, `_make_sparse`, `_depends_on_deps`, and the

@@ -16,7 +16,7 @@ Read in chungyiweng/humannerf @ 7389c4049c0d5b14afdbac41a605ddad9d51dd4a:
   the tracker the authors give the rule: focal length 5000 for a crop of 224 pixels, so that K changes with the
   person's box in every frame.
 
-Read in tiangexiang/OccNeRF @ 1cb1ef3af0e6a02a1e3510237deca56c693e5da3: `tools/prepare_zju_mocap/prepare_dataset.py`
+Read in tiangexiang/OccNeRF @ 8c4223a6: `tools/prepare_zju_mocap/prepare_dataset.py`
 (adds `betas`, `dapose_joints` and `avg_betas`), `prepare_dataset_eval.py` with `377_eval.yaml`
 (`camera_%02d_frame_%06d`, cameras from 1, every 30th moment, E float32), `prepare_all_cameras.py`
 (`all_cameras.pkl`), and

@@ -1,6 +1,6 @@
 """Folders as InstantAvatar's scripts leave them, written from an embedded scene.
 
-tijiang13/InstantAvatar@3cdfd49d. Read there:
+tijiang13/InstantAvatar@82a6c09f, and `datasets/custom.py` of tijiang13/InstantAvatar@7c16309e. Read there:
 
 * `scripts/peoplesnapshot/preprocess_PeopleSnapshot.py`: K and the view from `camera.pkl` in OpenCV's convention, as
   float64; `height` and `width` as Python ints; pictures `images/image_0000.png` of the video and masks

@@ -29,12 +29,7 @@ def easymocap_to_smplx(Rh: Array, Th: Array, root: Array, pelvis: Array) -> tupl
         root: the first three entries of `poses`, zero in files EasyMocap wrote.
         pelvis: the pelvis at rest for the same betas, `[3]`, metres.
     """
-    turn = rotation_matrix(Rh)
-    transl = Th + turn @ pelvis - pelvis
-    if not root.any():
-        return Rh.copy(), transl
-    combined, _ = cv2.Rodrigues(turn @ rotation_matrix(root))
-    return np.asarray(combined, dtype=np.float64).reshape(3), transl
+    return turned_about(Rh, Th, root, pelvis, pelvis)
 
 
 def carried(orient: Array, transl: Array, motion: Array, pelvis: Array) -> tuple[Array, Array]:

@@ -2,16 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from occfusion.data.module import HumanDataModule
+from occfusion.data.sampling import spread
 from occfusion.types import Frame
-
-
-def spread(count: int, wanted: int) -> list[int]:
-    """Returns at most `wanted` positions of `count`, each from the middle of an equal part."""
-    wanted = min(count, wanted)
-    return ((np.arange(wanted) + 0.5) * count / wanted).astype(int).tolist()
 
 
 def held_out_handful(data: HumanDataModule, wanted: int) -> list[Frame]:

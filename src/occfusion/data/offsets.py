@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.data.correction import Correction
+from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.outlines import outline_offsets
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.types import Camera
@@ -72,9 +73,7 @@ def measure_offsets(views: Iterable[View], faces: Ints, correction: Correction) 
     for view in views:
         camera = correction.corrected(view.camera)
         viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
-        local = view.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
-        depth = local[:, 2]
-        pixels = (local[:, :2] / np.where(depth > 0.01, depth, 1.0)[:, None]) @ K[:2, :2].T + K[:2, 2]
+        pixels, depth = project_vertices(view.vertices, viewmat, K)
         ahead = pixels[(depth > 0.01) & np.isfinite(pixels).all(axis=1)]
         size = float(np.ptp(ahead, axis=0).max()) if len(ahead) else 0.0
         box = _window(ahead, view.mask.shape, REACH * size)

@@ -13,6 +13,7 @@ from occfusion.data.offsets import View
 from occfusion.data.posing import Poser
 from occfusion.data.prepare import Prepared
 from occfusion.data.registration import MOST_FRAMES, Registration, agreement, register
+from occfusion.data.sampling import spread
 from occfusion.data.views import Views
 
 HELD_OUT_VIEWS = 60
@@ -74,7 +75,7 @@ def register_scene(
         faces: of the body, `[F, 3]`.
     """
     own = prepared.camera
-    shown = [_training_view(prepared, views, poser, k) for k in _spread(len(prepared.train), MOST_FRAMES)]
+    shown = [_training_view(prepared, views, poser, k) for k in spread(len(prepared.train), MOST_FRAMES)]
     rest = poser.rest_vertices(views.parameters(prepared.train[0]).betas)
     measured = register(shown, faces, rest)
     if measured is None or measured.suspected.is_none:
@@ -84,7 +85,7 @@ def register_scene(
     correction = found.resized(lens.source[0] / lens.size[0])
     corrections = {own: correction} if is_certain else {}
     others = [view for view in prepared.test_views if view[1] != own]
-    asked = [others[k] for k in _spread(len(others), HELD_OUT_VIEWS)]
+    asked = [others[k] for k in spread(len(others), HELD_OUT_VIEWS)]
     held_out = _agreement(asked, correction, views, poser, faces, rest, or_misplaced=not is_certain)
     if (
         held_out is not None
@@ -118,8 +119,3 @@ def _agreement(
         shown.append(View(camera, vertices, found.camera, found.visible_mask.numpy()))
         corrections.append(correction.resized(lens.size[0] / lens.source[0]))
     return agreement(shown, corrections, faces, rest, or_misplaced=or_misplaced) if shown else None
-
-
-def _spread(count: int, wanted: int) -> list[int]:
-    wanted = min(count, wanted)
-    return ((np.arange(wanted) + 0.5) * count / max(wanted, 1)).astype(int).tolist()

@@ -97,3 +97,9 @@ class ViewStream(IterableDataset[Frame]):
         """Yields the frames."""
         frames = prefetched(lambda view: self._read(*view), self._views)
         return (frame for frame in frames if bool(frame.visible_mask.any()))
+
+
+def spread(count: int, wanted: int) -> list[int]:
+    """Returns at most `wanted` positions of `count`, each from the middle of an equal part."""
+    wanted = min(count, wanted)
+    return ((np.arange(wanted) + 0.5) * count / max(wanted, 1)).astype(int).tolist()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -93,3 +95,13 @@ def orbit_camera(
     eye = target + distance * (math.cos(angle) * front + math.sin(angle) * side)
     K = square_intrinsics(field_of_view, size).to(target)
     return Camera(look_at(eye, target, axis), K, size, size)
+
+
+def project_vertices(
+    vertices: NDArray[np.floating], viewmat: NDArray[np.floating], K: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns pixels `[V, 2]` and depths `[V]` of world points; what lies behind the camera keeps its depth."""
+    local = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
+    depth = local[:, 2]
+    pixels = (local[:, :2] / np.where(depth > 0.01, depth, 1.0)[:, None]) @ K[:2, :2].T + K[:2, 2]
+    return pixels, depth

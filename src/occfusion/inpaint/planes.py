@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.geometry.camera import project_vertices
 from occfusion.inpaint.partial import Partial
-from occfusion.priors.bodyview import project, view_body
+from occfusion.priors.bodyview import view_body
 from occfusion.priors.crop import Square
 
 SIZE = 256
@@ -27,10 +28,12 @@ def take_planes(partial: Partial, size: int = SIZE) -> tuple[Square, Planes]:
     observation = partial.observation
     camera = observation.camera
     viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
-    pixels, depths = project(observation.vertices, viewmat, K)
+    pixels, depths = project_vertices(observation.vertices, viewmat, K)
     square = Square.around(pixels[depths > 0.01])
     window = square.camera(camera, size)
-    body = view_body(*project(observation.vertices, viewmat, window.K.numpy()), observation.faces, size, size)
+    body = view_body(
+        *project_vertices(observation.vertices, viewmat, window.K.numpy()), observation.faces, size, size
+    )
     whole = np.concatenate(
         [
             partial.coarse, partial.alpha[..., None], partial.gathered, partial.seen[..., None],

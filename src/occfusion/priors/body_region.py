@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from occfusion.priors.bodyview import project, view_body
+from occfusion.geometry.camera import project_vertices
+from occfusion.priors.bodyview import view_body
 from occfusion.priors.keypoints import Keypoints, see_keypoints
 from occfusion.priors.masks import Observation
 from occfusion.priors.region import Region
@@ -19,7 +20,9 @@ def body_region(observation: Observation, margin: int, resolution: int = 0) -> R
         resolution: longer side at work, pixels; 0: the region's own size.
     """
     camera = observation.camera
-    pixels, depths = project(observation.vertices, camera.viewmat.double().numpy(), camera.K.double().numpy())
+    pixels, depths = project_vertices(
+        observation.vertices, camera.viewmat.double().numpy(), camera.K.double().numpy()
+    )
     height, width = observation.visible.shape
     return Region.around(pixels[depths > 0.01], (width, height), margin, resolution)
 
@@ -33,6 +36,8 @@ def body_keypoints(observation: Observation, region: Region, sigma: float) -> Ke
         sigma: how far behind the body's surface a point may lie, metres.
     """
     camera = region.camera(observation.camera)
-    projected = project(observation.vertices, camera.viewmat.double().numpy(), camera.K.double().numpy())
+    projected = project_vertices(
+        observation.vertices, camera.viewmat.double().numpy(), camera.K.double().numpy()
+    )
     depth = view_body(*projected, observation.faces, camera.width, camera.height).depth
     return see_keypoints(torch.from_numpy(observation.keypoints), camera, depth, sigma)

@@ -31,16 +31,6 @@ class BodyView:
     depth: NDArray[np.float32]
 
 
-def project(
-    vertices: NDArray[np.floating], viewmat: NDArray[np.floating], K: NDArray[np.floating]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns pixels `[V, 2]` and depths `[V]` of world points; what lies behind the camera keeps its depth."""
-    local = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
-    depth = local[:, 2]
-    pixels = (local[:, :2] / np.where(depth > 0.01, depth, 1.0)[:, None]) @ K[:2, :2].T + K[:2, 2]
-    return pixels, depth
-
-
 def view_body(
     pixels: NDArray[np.floating],
     depths: NDArray[np.floating],

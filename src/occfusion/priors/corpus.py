@@ -13,9 +13,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.normals import vertex_normals
 from occfusion.human.body import Body, embedded_body
-from occfusion.priors.bodyview import project, view_body
+from occfusion.priors.bodyview import view_body
 from occfusion.priors.crop import Square
 from occfusion.priors.keypoints import face_vertices, keypoints_3d, see_keypoints
 from occfusion.synth.dress import Figure, dress
@@ -179,13 +180,13 @@ def make_example(
     if camera is None:
         camera = draw_camera(0.5 * (person.min(0) + person.max(0)), rng)
     viewmat, K = camera.viewmat.numpy(), camera.K.numpy()
-    pixels, _ = project(vertices, viewmat, K)
+    pixels, _ = project_vertices(vertices, viewmat, K)
     square = Square.around(pixels, rng.uniform(0.06, 0.16))
     shift = rng.uniform(-0.02, 0.02, 2) * square.side
     window = Square(square.x + shift[0], square.y + shift[1], square.side).camera(camera, SIZE)
     K = window.K.numpy()
-    shot = view_body(*project(person, viewmat, K), figure.faces, SIZE, SIZE)
-    view = view_body(*project(vertices, viewmat, K), model.faces, SIZE, SIZE)
+    shot = view_body(*project_vertices(person, viewmat, K), figure.faces, SIZE, SIZE)
+    view = view_body(*project_vertices(vertices, viewmat, K), model.faces, SIZE, SIZE)
     points = keypoints_3d(torch.from_numpy(vertices), torch.from_numpy(joints), face)
     seen = see_keypoints(points, window, view.depth)
     return Example(

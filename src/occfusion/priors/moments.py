@@ -10,8 +10,9 @@ import torch
 from numpy.typing import NDArray
 
 from occfusion.errors import DataError
+from occfusion.geometry.camera import project_vertices
 from occfusion.human.body import Body
-from occfusion.priors.bodyview import project, view_body
+from occfusion.priors.bodyview import view_body
 from occfusion.priors.consistency import Motion
 from occfusion.priors.evidence import FITTING, Evidence, gather_evidence, misfit
 from occfusion.priors.keypoints import face_vertices, keypoints_3d
@@ -65,7 +66,7 @@ def look(frames: Iterable[Frame], body: Body) -> list[Moment]:
         found = body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)
         vertices, joints = (part.double().cpu() for part in found)
         viewmat, K = camera.viewmat.double().cpu().numpy(), camera.K.double().cpu().numpy()
-        pixels, depths = project(vertices.numpy(), viewmat, K)
+        pixels, depths = project_vertices(vertices.numpy(), viewmat, K)
         covered = view_body(pixels, depths, faces, camera.width, camera.height).coverage > 0.5
         if not covered.any():
             raise DataError(

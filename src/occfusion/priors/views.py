@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from occfusion.geometry.camera import orbit_camera
+from occfusion.geometry.camera import orbit_camera, project_vertices
 from occfusion.human.body import Body
-from occfusion.priors.bodyview import BodyView, project, view_body
+from occfusion.priors.bodyview import BodyView, view_body
 from occfusion.priors.crop import Square
 from occfusion.priors.keypoints import Keypoints, face_vertices, keypoints_3d, see_keypoints
 from occfusion.priors.masks import Observation
@@ -61,7 +61,7 @@ class PersonView:
     def body(self) -> BodyView:
         """Returns the body mesh as the camera sees it."""
         viewmat, K = self.camera.viewmat.double().numpy(), self.camera.K.double().numpy()
-        return view_body(*project(self.vertices, viewmat, K), self.faces, self.size, self.size)
+        return view_body(*project_vertices(self.vertices, viewmat, K), self.faces, self.size, self.size)
 
     def seen(self, body: BodyView) -> Keypoints:
         """Returns the key points in the crop, without those that the body itself hides."""
@@ -72,7 +72,7 @@ def view_observation(observation: Observation, size: int) -> tuple[Square, Perso
     """Returns the square around the body in a frame, and the view of it at `size` x `size` pixels."""
     camera = observation.camera
     viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
-    pixels, depths = project(observation.vertices, viewmat, K)
+    pixels, depths = project_vertices(observation.vertices, viewmat, K)
     square = Square.around(pixels[depths > 0.01])
     visible = square.take(observation.visible.astype(np.float32), size)
     background = square.take(observation.background.astype(np.float32), size, outside=1.0)
@@ -98,7 +98,7 @@ def view_canonical(body: Body, turn: int, size: int) -> PersonView:
     middle = 0.5 * (vertices.amin(dim=0) + vertices.amax(dim=0))
     angle = 2.0 * math.pi * turn / CANONICAL_ANGLES
     camera = orbit_camera(middle, angle, CANONICAL_DISTANCE, _ANY_VIEW, _ANY_SIZE)
-    pixels, _ = project(vertices.numpy(), camera.viewmat.numpy(), camera.K.numpy())
+    pixels, _ = project_vertices(vertices.numpy(), camera.viewmat.numpy(), camera.K.numpy())
     keypoints = keypoints_3d(vertices, joints, face_vertices(body)).numpy()
     window = Square.around(pixels).camera(camera, size)
     return PersonView(window, vertices.numpy(), keypoints, body.faces.cpu().numpy(), None, None)

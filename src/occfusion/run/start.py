@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
-from occfusion.data.handful import spread
 from occfusion.data.module import HumanDataModule
+from occfusion.data.sampling import spread
 from occfusion.human import Avatar
 from occfusion.inpaint.accumulation import accumulate, paint_observed
 
