@@ -15,10 +15,10 @@ import torch
 
 from occfusion.files.atomic import write_png
 from occfusion.human.body import embedded_body
-from occfusion.priors.bodyview import project, view_body
-from occfusion.priors.canvas import draw_keypoints
-from occfusion.priors.crop import Square
-from occfusion.priors.keypoints import face_vertices, keypoints_3d, see_keypoints
+from occfusion.observation.bodyview import project, view_body
+from occfusion.observation.crop import Square
+from occfusion.observation.keypoints import face_vertices, keypoints_3d, see_keypoints
+from occfusion.priors.sd15.canvas import draw_keypoints
 from occfusion.types import Camera
 
 SIZE = 320

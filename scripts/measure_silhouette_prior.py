@@ -16,14 +16,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from occfusion.priors.batches import Batch, hidden_batch
-from occfusion.priors.completion import hidden_iou
-from occfusion.priors.corpus import Estimate, draw_camera, draw_poses, make_example
-from occfusion.priors.diffusion import sample
-from occfusion.priors.hiding import centre_strip, random_half
-from occfusion.priors.limbs import GROUPS
-from occfusion.priors.silhouette import SilhouetteNet
-from occfusion.priors.weights import load_silhouette_net
+from occfusion.prior_training.random_occluders import centre_strip, random_half
+from occfusion.prior_training.silhouette_batches import Batch, hidden_batch
+from occfusion.prior_training.silhouette_examples import Estimate, draw_camera, draw_poses, make_example
+from occfusion.prior_training.silhouette_task import hidden_iou
+from occfusion.priors.embedded.conditions import GROUPS
+from occfusion.priors.embedded.diffusion import sample
+from occfusion.priors.embedded.silhouette_net import SilhouetteNet, load_silhouette_net
 from occfusion.synth.dress import dress
 from occfusion.synth.spec import HELD_OUT_FROM
 from occfusion.synth.subject import make_subject

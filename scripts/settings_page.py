@@ -24,11 +24,11 @@ from stated_settings import (
 
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.errors import ConfigError
-from occfusion.inpaint.embedded import EmbeddedInpainterSettings
-from occfusion.inpaint.sd15_settings import Sd15InpaintSettings
-from occfusion.priors.embedded import EmbeddedSettings
-from occfusion.priors.sd15_score import Sd15ScoreSettings
-from occfusion.priors.sd15_settings import Sd15Settings
+from occfusion.inpaint.embedded_inpainter import EmbeddedInpainterSettings
+from occfusion.inpaint.sd15_inpainter import Sd15InpaintSettings
+from occfusion.priors.embedded.silhouette_prior import EmbeddedSettings
+from occfusion.priors.sd15.score_prior import Sd15ScoreSettings
+from occfusion.priors.sd15.settings import Sd15Settings
 from occfusion.settings import schema as schema
 
 GENERATED = "*Written by `scripts/write_reference_pages.py`; change the code or `conf/`, and run it again.*"

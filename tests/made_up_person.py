@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from occfusion.priors.masks import Observation
+from occfusion.observation.frames import Observation
 from occfusion.types import Camera
 
 # x to the wearer's left (the picture's right), y down from the head, in heights of a person who faces the camera

@@ -11,8 +11,8 @@ import torch
 from safetensors.torch import load_file
 
 from occfusion.errors import NumericsError
-from occfusion.priors import embedded_score
-from occfusion.priors.embedded_score import EmbeddedScore
+from occfusion.priors.embedded import silhouette_prior
+from occfusion.priors.embedded.silhouette_prior import EmbeddedScore
 from occfusion.run import objects as run_objects
 from occfusion.run import stages as avatar_run
 from occfusion.stages.distil import Distiller
@@ -100,7 +100,7 @@ def test_without_weight_nothing_is_built(train: Train, variant: str, monkeypatch
 
     monkeypatch.setattr(avatar_run, "make_score_prior", refused)
     monkeypatch.setattr(Distiller, "__init__", refused)
-    monkeypatch.setattr(embedded_score, "load_silhouette_net", refused)
+    monkeypatch.setattr(silhouette_prior, "load_silhouette_net", refused)
     recipe = "ours"
     if (
         variant == "gauhuman"

@@ -13,10 +13,11 @@ from occfusion.data.zju import ZjuDataModule
 from occfusion.errors import DataError, NumericsError
 from occfusion.files.images import read_mask
 from occfusion.human import Body, load_body
+from occfusion.observation.frames import Moment, Observation, look
 from occfusion.priors.calibration import STILL, Calibration, calibrate, measure_thickness
-from occfusion.priors.masks import MaskPrior, Observation
-from occfusion.priors.moments import Moment, look
-from occfusion.priors.weights import SILHOUETTE, load_silhouette_net, save_net
+from occfusion.priors.embedded.network_file import save_net
+from occfusion.priors.embedded.silhouette_net import SILHOUETTE, load_silhouette_net
+from occfusion.priors.masks import MaskPrior
 from occfusion.settings.stages import InitSettings
 from occfusion.stages.init import InitStage, mask_path
 from occfusion.types import Frame
@@ -194,7 +195,7 @@ def test_nothing_to_learn_leaves_the_answer_as_it_is(body: Body, data: ZjuDataMo
 def test_thickness_of_clothes_is_what_stands_off_the_body(data: ZjuDataModule, body: Body) -> None:
     import cv2
 
-    from occfusion.priors.bodyview import view_body
+    from occfusion.observation.bodyview import view_body
 
     frames = []
     for position in range(len(data.train_indices)):

@@ -12,7 +12,7 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from occfusion.priors.key_light import find_key_light
+from occfusion.observation.key_light import find_key_light
 from occfusion.run import app
 from occfusion.run.compose import make_body, make_data
 from occfusion.run.loaded import load_run

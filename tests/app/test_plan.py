@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from app.test_config import settings_of
+from occfusion.observation.consistency import Motion
+from occfusion.observation.evidence import HIDDEN_SHARE, Evidence
+from occfusion.observation.frames import Moment
+from occfusion.observation.key_light import KeyLight
 from occfusion.plan import make as planning
 from occfusion.plan.decisions import box_reason, with_everything
-from occfusion.priors.consistency import Motion
-from occfusion.priors.evidence import HIDDEN_SHARE, Evidence
-from occfusion.priors.key_light import KeyLight
-from occfusion.priors.moments import Moment
 from occfusion.settings.schema import Settings, optim_hash
 
 SUMMARY = {"occluded_frames": 0, "frames": 12}

@@ -12,12 +12,19 @@ import torch
 from numpy.typing import NDArray
 
 from occfusion.errors import ConfigError, DataError
-from occfusion.inpaint.partial import Partial, Picture
-from occfusion.inpaint.planes import COARSE, DEPTH, PLANES, SIZE, VISIBLE, take_planes
-from occfusion.inpaint.sources import CoarsePictures
-from occfusion.inpaint.weights import load_appearance_net
-from occfusion.priors.weights import load_silhouette_net, save_net
-from occfusion.recipes.appearance import VERSION, AppearanceRecipe, coarse_scenes
+from occfusion.inpaint.appearance_net import (
+    COARSE,
+    DEPTH,
+    PLANES,
+    SIZE,
+    VISIBLE,
+    load_appearance_net,
+    take_planes,
+)
+from occfusion.inpaint.partial import CoarsePictures, Partial, Picture
+from occfusion.prior_training.appearance_task import VERSION, AppearanceRecipe, coarse_scenes
+from occfusion.priors.embedded.network_file import save_net
+from occfusion.priors.embedded.silhouette_net import load_silhouette_net
 from occfusion.settings.stages import PriorTrainingSettings
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]

@@ -223,7 +223,7 @@ def test_stage_init_alone_writes_masks_and_is_not_done_again(
     def fail(*_: object) -> None:
         raise AssertionError("a prior was loaded although nothing is left to do")
 
-    monkeypatch.setattr("occfusion.priors.embedded.EmbeddedMaskPrior.probability", fail)
+    monkeypatch.setattr("occfusion.priors.embedded.silhouette_prior.EmbeddedMaskPrior.probability", fail)
     train("variant=B", "stage=init")
     assert (folder / "masks" / "manifest.json").read_text() == first
 

@@ -18,7 +18,7 @@ from occfusion.data import VideoDataModule
 from occfusion.data.people import who_can_hide
 from occfusion.errors import ConfigError, DataError
 from occfusion.evaluation.evaluate import evaluate_image
-from occfusion.priors.moments import look
+from occfusion.observation.frames import look
 from occfusion.run.masks import _make_prior
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.types import Rendering

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from occfusion.geometry.resample import averaging_matrix, take_square
-from occfusion.priors.crop import Square
+from occfusion.observation.crop import Square
 
 
 @pytest.mark.parametrize(("start", "side", "size"), [(0.0, 20.0, 5), (2.3, 11.0, 4), (5.0, 3.0, 12)])

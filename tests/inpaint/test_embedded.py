@@ -12,23 +12,41 @@ from torch.testing import assert_close
 
 from made_up_person import made_up_observation
 from occfusion.errors import NumericsError
-from occfusion.inpaint.batches import REGION_WEIGHT, WINDOW, make_batch, region_of, unseen_of, whole_batch
-from occfusion.inpaint.corpus import Example, as_floats
-from occfusion.inpaint.network import KNEE, AppearanceNet, from_signal, to_signal
-from occfusion.inpaint.partial import KNOWN, SOLID, Inpainter, Partial, Picture, checked_picture
-from occfusion.inpaint.planes import (
+from occfusion.inpaint.appearance_net import (
     ALPHA,
     COARSE,
     COMPLETE,
     DEPTH,
+    KNEE,
     OBSERVED,
     PLANES,
     SEEN,
     SIZE,
     VISIBLE,
+    AppearanceNet,
+    from_signal,
     take_planes,
+    to_signal,
 )
-from occfusion.inpaint.sources import CoarsePictures
+from occfusion.inpaint.partial import (
+    KNOWN,
+    SOLID,
+    CoarsePictures,
+    Inpainter,
+    Partial,
+    Picture,
+    checked_picture,
+)
+from occfusion.prior_training.appearance_batches import (
+    REGION_WEIGHT,
+    WINDOW,
+    Example,
+    as_floats,
+    make_batch,
+    region_of,
+    unseen_of,
+    whole_batch,
+)
 
 
 def made_up_partial(size: int = 96) -> Partial:

@@ -11,9 +11,8 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from occfusion.errors import ConfigError, DataError
-from occfusion.inpaint.registry import check_inpainter, make_inpainter
-from occfusion.inpaint.sd15 import Sd15Inpainter
-from occfusion.inpaint.sd15_settings import Sd15InpaintSettings
+from occfusion.inpaint.build_inpainter import check_inpainter, make_inpainter
+from occfusion.inpaint.sd15_inpainter import Sd15Inpainter, Sd15InpaintSettings
 from tiny_sd15 import write_tiny_painter
 
 CONF = Path(__file__).parents[2] / "conf"

@@ -16,13 +16,12 @@ import torch
 
 from made_up_partial import made_up_partial, only_region, painted_like
 from occfusion.errors import NumericsError
-from occfusion.inpaint import sd15
+from occfusion.inpaint import sd15_inpainter as sd15
 from occfusion.inpaint.partial import checked_picture
-from occfusion.inpaint.sd15 import Sd15Inpainter
-from occfusion.inpaint.sd15_settings import Sd15InpaintSettings
+from occfusion.inpaint.sd15_inpainter import Sd15Inpainter, Sd15InpaintSettings
 from occfusion.inpaint.side_by_side import right_half
-from occfusion.priors.sd15_pipeline import frame_seed
-from occfusion.priors.sd15_settings import Sd15Settings
+from occfusion.priors.sd15.pipeline import frame_seed
+from occfusion.priors.sd15.settings import Sd15Settings
 from tiny_sd15 import write_tiny_painter
 
 FAST: dict[str, Any] = {"resolution": 64, "steps": 2}
@@ -217,7 +216,7 @@ def test_description_names_what_decides_the_pictures(
 
 def test_nothing_of_it_is_imported_unless_a_frame_is_painted() -> None:
     code = (
-        "import sys, occfusion.inpaint.registry, occfusion.inpaint.sd15\n"
+        "import sys, occfusion.inpaint.build_inpainter, occfusion.inpaint.sd15_inpainter\n"
         "print([m for m in ('diffusers', 'transformers', 'huggingface_hub', 'accelerate') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -15,8 +15,7 @@ from occfusion.inpaint.side_by_side import (
     put_side_by_side,
     right_half,
 )
-from occfusion.priors.body_region import body_keypoints, body_region
-from occfusion.priors.region import Region
+from occfusion.priors.sd15.region import Region, body_keypoints, body_region
 
 PARTIAL = made_up_partial()
 

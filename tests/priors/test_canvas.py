@@ -6,9 +6,9 @@ import torch
 
 from made_up_person import FRONT, made_up_observation
 from occfusion.geometry.camera import project_vertices
-from occfusion.priors.bodyview import view_body
-from occfusion.priors.canvas import COLORS, LIMB_BRIGHTNESS, draw_canvas, draw_keypoints
-from occfusion.priors.keypoints import LIMBS, MIRRORED, NAMES, see_keypoints
+from occfusion.observation.bodyview import view_body
+from occfusion.observation.keypoints import LIMBS, MIRRORED, NAMES, see_keypoints
+from occfusion.priors.sd15.canvas import COLORS, LIMB_BRIGHTNESS, draw_canvas, draw_keypoints
 
 ALL = np.ones(18, bool)
 PIXELS = FRONT * (400.0, 440.0) + (256.0, 30.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from occfusion.priors.consistency import Motion, body_flow, smoothed, warp, warped_iou
+from occfusion.observation.consistency import Motion, body_flow, smoothed, warp, warped_iou
 
 SIZE = 80
 FACES = np.array([[0, 1, 2], [0, 2, 3]])

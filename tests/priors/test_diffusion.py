@@ -7,7 +7,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from occfusion.priors.diffusion import alpha_sigma, clean_and_noise, diffuse, posterior_mean, sample, velocity
+from occfusion.priors.embedded.diffusion import (
+    alpha_sigma,
+    clean_and_noise,
+    diffuse,
+    posterior_mean,
+    sample,
+    velocity,
+)
 
 MEAN, SPREAD = 0.3, 0.2
 

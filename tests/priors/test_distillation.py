@@ -4,9 +4,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from occfusion.observation.crop import PersonView
 from occfusion.priors.distillation import guided, surrogate, time_at, weight
 from occfusion.priors.score import Draw, ScorePrior, distil
-from occfusion.priors.views import PersonView
 
 SIZE = 6
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from occfusion.priors.evidence import FRAMES_TO_JUDGE, HIDDEN_SHARE, gather_evidence, misfit, person_size
+from occfusion.observation.evidence import FRAMES_TO_JUDGE, HIDDEN_SHARE, gather_evidence, misfit, person_size
 
 SIZE = 100
 

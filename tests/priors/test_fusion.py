@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from occfusion.priors.conditions import Conditions
-from occfusion.priors.fusion import BodyFusion, fusion_features, identity, usable
+from occfusion.priors.embedded.body_fusion import BodyFusion, fusion_features, identity, usable
+from occfusion.priors.embedded.conditions import Conditions
+from occfusion.priors.embedded.silhouette_net import SilhouetteNet
 from occfusion.priors.logistic import fit_logistic, sigmoid
-from occfusion.priors.silhouette import SilhouetteNet
 
 SIZE = 64
 

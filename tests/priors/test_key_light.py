@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from occfusion.priors.key_light import POINTS, STRONGEST, KeyLight, Sightings, fit_key_light, join
+from occfusion.observation.key_light import POINTS, STRONGEST, KeyLight, Sightings, fit_key_light, join
 
 LAMP = np.array([0.12, -0.2, 0.15])
 

@@ -6,8 +6,8 @@ import torch
 
 from occfusion.geometry.camera import project_vertices
 from occfusion.human.body import embedded_body
-from occfusion.priors.bodyview import view_body
-from occfusion.priors.keypoints import (
+from occfusion.observation.bodyview import view_body
+from occfusion.observation.keypoints import (
     LIMBS,
     MIRRORED,
     NAMES,
@@ -16,7 +16,7 @@ from occfusion.priors.keypoints import (
     keypoints_3d,
     see_keypoints,
 )
-from occfusion.priors.limbs import limb_maps
+from occfusion.priors.embedded.conditions import limb_maps
 from occfusion.types import Camera
 
 SIZE = 64

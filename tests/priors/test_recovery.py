@@ -11,12 +11,12 @@ from occfusion.geometry.camera import look_at, project_vertices
 from occfusion.human import Avatar, embedded_body
 from occfusion.human.body import Body
 from occfusion.human.gaussians import Gaussians
-from occfusion.priors.bodyview import view_body
-from occfusion.priors.corpus import draw_poses
-from occfusion.priors.embedded_score import EmbeddedScore
-from occfusion.priors.hiding import half_plane
-from occfusion.priors.moments import look
-from occfusion.priors.views import CANONICAL_ANGLES, view_canonical
+from occfusion.observation.bodyview import view_body
+from occfusion.observation.crop import CANONICAL_ANGLES, view_canonical
+from occfusion.observation.frames import look
+from occfusion.prior_training.random_occluders import half_plane
+from occfusion.prior_training.silhouette_examples import draw_poses
+from occfusion.priors.embedded.silhouette_prior import EmbeddedScore
 from occfusion.settings.stages import SdsSettings
 from occfusion.splat import rasterize
 from occfusion.stages.distil import Distiller

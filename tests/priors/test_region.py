@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from made_up_person import made_up_camera
-from occfusion.priors.region import Region
+from occfusion.priors.sd15.region import Region
 
 sides = st.integers(24, 700)
 

@@ -16,10 +16,10 @@ from omegaconf import OmegaConf
 from safetensors.torch import load_file, save_file
 
 from occfusion.errors import ConfigError, DataError
-from occfusion.priors.registry import make_mask_prior
-from occfusion.priors.sd15 import Sd15MaskPrior, Sd15Settings
-from occfusion.priors.sd15_models import require_packages
-from occfusion.priors.sd15_score import Sd15ScoreSettings
+from occfusion.priors.build_prior import make_mask_prior
+from occfusion.priors.sd15.loading import require_packages
+from occfusion.priors.sd15.mask_prior import Sd15MaskPrior, Sd15Settings
+from occfusion.priors.sd15.score_prior import Sd15ScoreSettings
 
 CONF = Path(__file__).parents[2] / "conf"
 PUBLISHED = [
@@ -190,9 +190,9 @@ def test_wrong_settings_are_refused(
 def test_nothing_of_it_is_imported_unless_asked() -> None:
     """Without Lightning, whose torchmetrics imports transformers wherever it is installed."""
     code = (
-        "import contextlib, sys, torch, occfusion, occfusion.priors.sd15\n"
+        "import contextlib, sys, torch, occfusion, occfusion.priors.sd15.mask_prior\n"
         "from occfusion.errors import DataError\n"
-        "from occfusion.priors.registry import make_mask_prior\n"
+        "from occfusion.priors.build_prior import make_mask_prior\n"
         "with contextlib.suppress(DataError):\n"  # it may have no weights yet
         "    make_mask_prior({'name': 'embedded'}, torch.device('cpu'))\n"
         "print([m for m in ('diffusers', 'transformers', 'huggingface_hub', 'accelerate') if m in sys.modules])"

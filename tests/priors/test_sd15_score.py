@@ -9,10 +9,10 @@ import torch
 
 from occfusion.errors import ConfigError, DataError
 from occfusion.human import embedded_body
-from occfusion.priors.registry import check_score_prior, make_score_prior
+from occfusion.observation.crop import view_canonical
+from occfusion.priors.build_prior import check_score_prior, make_score_prior
 from occfusion.priors.score import Draw, distil
-from occfusion.priors.sd15_score import Sd15Score, Sd15ScoreSettings
-from occfusion.priors.views import view_canonical
+from occfusion.priors.sd15.score_prior import Sd15Score, Sd15ScoreSettings
 from tiny_sd15 import write_tiny_controlnet, write_tiny_inpainting
 
 CPU = torch.device("cpu")

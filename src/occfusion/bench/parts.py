@@ -12,10 +12,10 @@ from occfusion.bench.scenes import SceneSize, make_scene
 from occfusion.geometry.resample import take_square
 from occfusion.human import Avatar, embedded_body
 from occfusion.human.rendering import canonical_alpha
+from occfusion.observation.crop import view_canonical
 from occfusion.perceptual import load_perceptual
-from occfusion.priors.embedded_score import EmbeddedScore
+from occfusion.priors.embedded.silhouette_prior import EmbeddedScore
 from occfusion.priors.score import Draw, distil
-from occfusion.priors.views import view_canonical
 from occfusion.quality import losses
 from occfusion.quality.metrics import padded_box
 from occfusion.splat import rasterize

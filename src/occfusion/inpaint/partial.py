@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from occfusion.errors import NumericsError
 from occfusion.human.avatar import Avatar
 from occfusion.inpaint.accumulation import Accumulated
-from occfusion.priors.masks import Observation
+from occfusion.observation.frames import Observation
 from occfusion.splat import Limits, fitting_backend, rasterize
 from occfusion.types import Frame
 
@@ -115,3 +116,38 @@ def checked_picture(inpainter: Inpainter, partial: Partial) -> Picture:
     observation = partial.observation
     whole = np.where(observation.visible[..., None], observation.rgb, 0.0)
     return np.where(partial.region[..., None], np.clip(made, 0.0, 1.0), whole).astype(np.float32)
+
+
+class CoarsePictures(Inpainter):
+    """Leaves the hidden part as the coarse avatar shows it: what refinement gains without inpainting."""
+
+    name = "coarse"
+
+    def describe(self) -> dict[str, Any]:
+        """Returns the name."""
+        return {"inpainter": self.name}
+
+    def inpaint(self, partial: Partial) -> Picture:
+        """Returns the coarse rendering."""
+        return partial.coarse
+
+
+class TruthPictures(Inpainter):
+    """Shows what the occluder hides: an upper bound.
+
+    Args:
+        pictures: the unoccluded person of each frame by the frame's name, `[H, W, 3]`, 0..1.
+    """
+
+    name = "truth"
+
+    def __init__(self, pictures: Mapping[str, NDArray[np.float32]]) -> None:
+        self._pictures = pictures
+
+    def describe(self) -> dict[str, Any]:
+        """Returns the name."""
+        return {"inpainter": self.name}
+
+    def inpaint(self, partial: Partial) -> Picture:
+        """Returns the true picture."""
+        return self._pictures[partial.observation.name]

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.inpaint.partial import Mask, Partial, Picture
-from occfusion.priors.canvas import draw_keypoints
-from occfusion.priors.keypoints import Keypoints
-from occfusion.priors.region import Region
+from occfusion.observation.keypoints import Keypoints
+from occfusion.priors.sd15.canvas import draw_keypoints
+from occfusion.priors.sd15.region import Region
 
 HALVES = 2
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occfusion.data.registered import SceneRegistration
-from occfusion.priors.evidence import FITTING, HIDDEN_SHARE
-from occfusion.priors.key_light import KeyLight
-from occfusion.priors.moments import Moment, misfit_of, poses_fit
+from occfusion.observation.evidence import FITTING, HIDDEN_SHARE
+from occfusion.observation.frames import Moment, misfit_of, poses_fit
+from occfusion.observation.key_light import KeyLight
 from occfusion.settings.schema import STAGES, Settings, stages_to_run
 from occfusion.settings.stages import AvatarSettings
 from occfusion.stages.avatar import BOX_PADDING

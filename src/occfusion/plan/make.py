@@ -12,6 +12,8 @@ from typing import Any
 import torch
 
 from occfusion.data.registered import SceneRegistration
+from occfusion.observation.frames import Moment
+from occfusion.observation.key_light import KeyLight
 from occfusion.perceptual import training_dtype
 from occfusion.plan.decisions import (
     Decision,
@@ -31,8 +33,6 @@ from occfusion.plan.decisions import (
     stage_decisions,
     start_decision,
 )
-from occfusion.priors.key_light import KeyLight
-from occfusion.priors.moments import Moment
 from occfusion.settings.schema import Settings, stages_to_run
 from occfusion.settings.stages import AvatarSettings
 

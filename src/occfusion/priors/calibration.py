@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from occfusion.geometry.distance import nearest_set, signed_distance
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
-from occfusion.priors.evidence import Evidence, person_size
+from occfusion.observation.evidence import Evidence, person_size
+from occfusion.observation.frames import Moment
 from occfusion.priors.logistic import fit_logistic, sigmoid
 from occfusion.priors.masks import MaskPrior, checked_probability
-from occfusion.priors.moments import Moment
 from occfusion.types import Camera, Frame
 
 Floats = NDArray[np.float64]

@@ -3,41 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.errors import NumericsError
-from occfusion.types import Camera
-
-Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Observation:
-    """A frame as a prior sees it.
-
-    Attributes:
-        name: what errors call it.
-        rgb: the person as far as seen, black elsewhere, float32 `[H, W, 3]`, 0..1.
-        visible: the paper's M, bool `[H, W]`.
-        background: pixels known to show no person, bool `[H, W]`.
-        camera: the camera.
-        vertices: the body mesh in the world, `[V, 3]`, metres.
-        keypoints: its key points in the world, `[18, 3]`, metres.
-        faces: its triangles, `[F, 3]`.
-    """
-
-    name: str
-    rgb: NDArray[np.float32]
-    visible: Mask
-    background: Mask
-    camera: Camera
-    vertices: NDArray[np.float64]
-    keypoints: NDArray[np.float64]
-    faces: NDArray[np.int64]
+from occfusion.observation.frames import Observation
 
 
 class MaskPrior(ABC):
@@ -78,3 +51,24 @@ def with_what_is_known(probability: NDArray[np.float32], observation: Observatio
     """Returns a probability `[H, W]` set to 1 where the person is seen and to 0 on known background."""
     known = np.where(observation.visible, 1.0, probability)
     return np.where(observation.background & ~observation.visible, 0.0, known).astype(np.float32)
+
+
+class TruthMasks(MaskPrior):
+    """Answers with the true masks of synthetic frames.
+
+    Args:
+        masks: bool `[H, W]` by the name of the frame.
+    """
+
+    name = "truth"
+
+    def __init__(self, masks: Mapping[str, NDArray[np.bool_]]) -> None:
+        self._masks = masks
+
+    def describe(self) -> dict[str, Any]:
+        """Returns that it is the truth."""
+        return {"prior": self.name}
+
+    def probability(self, observation: Observation) -> NDArray[np.float32]:
+        """Returns 1 where the person is, 0 elsewhere."""
+        return self._masks[observation.name].astype(np.float32)

@@ -10,8 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from occfusion.observation.crop import PersonView
 from occfusion.priors.distillation import surrogate, weight
-from occfusion.priors.views import PersonView
 
 T = TypeVar("T")
 """What a prior makes of a view once, to be asked of it many times."""

@@ -10,7 +10,7 @@ import lightning as L
 from omegaconf import DictConfig
 
 from occfusion.cpu.processes import is_helper
-from occfusion.recipes.appearance import Coarse, CoarseScene
+from occfusion.prior_training.appearance_task import Coarse, CoarseScene
 from occfusion.report.page import write_report
 from occfusion.report.tables import print_summary
 from occfusion.run.coarse import train_coarse

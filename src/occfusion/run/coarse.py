@@ -8,7 +8,7 @@ from pathlib import Path
 import lightning as L
 
 from occfusion.errors import ConfigError
-from occfusion.recipes.appearance import Coarse, CoarseScene
+from occfusion.prior_training.appearance_task import Coarse, CoarseScene
 from occfusion.run.objects import compose_run
 from occfusion.run.stages import run_stages
 from occfusion.settings.schema import Named, Settings

@@ -13,11 +13,10 @@ from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.human import Body
+from occfusion.observation.frames import Moment, look
+from occfusion.priors.build_prior import make_mask_prior
 from occfusion.priors.calibration import calibrate
-from occfusion.priors.masks import MaskPrior
-from occfusion.priors.moments import Moment, look
-from occfusion.priors.registry import make_mask_prior
-from occfusion.priors.truth import TruthMasks
+from occfusion.priors.masks import MaskPrior, TruthMasks
 from occfusion.run.sharing import discard, offer, shared_folder, sole_maker, take
 from occfusion.settings.schema import Settings
 from occfusion.stages.framewise import predict_frames

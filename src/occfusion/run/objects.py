@@ -15,13 +15,13 @@ from occfusion.data.registered import SceneRegistration
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline
 from occfusion.human.rendering import render_frame
-from occfusion.inpaint.registry import check_inpainter
+from occfusion.inpaint.build_inpainter import check_inpainter
+from occfusion.observation.frames import Moment
+from occfusion.observation.key_light import KeyLight, find_key_light
 from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
 from occfusion.plan.decisions import may_leave_out_networks, with_everything
 from occfusion.plan.make import Plan, make_plan, reached_sh_degree
-from occfusion.priors.key_light import KeyLight, find_key_light
-from occfusion.priors.moments import Moment
-from occfusion.priors.registry import check_score_prior
+from occfusion.priors.build_prior import check_score_prior
 from occfusion.run.compose import make_body, make_data
 from occfusion.run.folder import claim_run_folder
 from occfusion.run.masks import look_at_training_frames

@@ -17,10 +17,10 @@ from torch.utils.data import DataLoader, IterableDataset
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.files.table import write_table
-from occfusion.priors.weights import save_net
-from occfusion.recipes.appearance import AppearanceRecipe, TrainCoarse
-from occfusion.recipes.recipe import Recipe
-from occfusion.recipes.silhouette import SilhouetteRecipe
+from occfusion.prior_training.appearance_task import AppearanceRecipe, TrainCoarse
+from occfusion.prior_training.silhouette_task import SilhouetteRecipe
+from occfusion.prior_training.task import Recipe
+from occfusion.priors.embedded.network_file import save_net
 from occfusion.run.folder import claim_run_folder
 from occfusion.settings.schema import Settings, optim_hash
 from occfusion.settings.stages import PriorTrainingSettings

@@ -16,10 +16,9 @@ from occfusion.errors import ConfigError
 from occfusion.human import Avatar
 from occfusion.human.rendering import outline
 from occfusion.inpaint.accumulation import accumulate, paint_unseen
-from occfusion.inpaint.partial import Inpainter
-from occfusion.inpaint.registry import make_inpainter
-from occfusion.inpaint.sources import CoarsePictures, TruthPictures
-from occfusion.priors.moments import Moment
+from occfusion.inpaint.build_inpainter import make_inpainter
+from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
+from occfusion.observation.frames import Moment
 from occfusion.settings.schema import Settings
 from occfusion.stages.framewise import predict_frames
 from occfusion.stages.inpaint import InpaintStage

@@ -16,7 +16,7 @@ from occfusion.files.atomic import write_json
 from occfusion.human import load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.plan import make as planning
-from occfusion.priors.registry import make_score_prior
+from occfusion.priors.build_prior import make_score_prior
 from occfusion.run.evaluation import evaluation_metric
 from occfusion.run.masks import run_init
 from occfusion.run.objects import Run, device_of

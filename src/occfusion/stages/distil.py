@@ -16,11 +16,10 @@ from occfusion.geometry.resample import take_square
 from occfusion.human.avatar import Avatar
 from occfusion.human.body import Body
 from occfusion.human.rendering import canonical_alpha
-from occfusion.priors.crop import Square
+from occfusion.observation.crop import CANONICAL_ANGLES, PersonView, Square, view_canonical, view_observation
+from occfusion.observation.frames import Moment
 from occfusion.priors.distillation import time_at
-from occfusion.priors.moments import Moment
 from occfusion.priors.score import Draw, ScorePrior, distil
-from occfusion.priors.views import CANONICAL_ANGLES, PersonView, view_canonical, view_observation
 from occfusion.settings.stages import SdsSettings
 from occfusion.types import Box, Camera, Frame
 

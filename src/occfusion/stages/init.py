@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from occfusion.files.atomic import write_png
 from occfusion.files.images import read_mask
 from occfusion.human.body import Body
+from occfusion.observation.consistency import body_flow, smoothed, warped_iou
+from occfusion.observation.frames import Moment
 from occfusion.priors.calibration import Calibration
-from occfusion.priors.consistency import body_flow, smoothed, warped_iou
 from occfusion.priors.masks import MaskPrior, checked_probability, with_what_is_known
-from occfusion.priors.moments import Moment
 from occfusion.settings.stages import InitSettings
 from occfusion.stages.framewise import FramewiseStage
 from occfusion.types import Frame

@@ -13,7 +13,7 @@ from occfusion.files.atomic import write_png
 from occfusion.human.avatar import Avatar
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.partial import Inpainter, checked_picture, take_partial
-from occfusion.priors.moments import Moment
+from occfusion.observation.frames import Moment
 from occfusion.stages.framewise import FramewiseStage
 from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
 from occfusion.types import Frame

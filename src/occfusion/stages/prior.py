@@ -9,7 +9,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import torch
 from torch import Tensor, nn
 
-from occfusion.priors.diffusion import diffuse, velocity
+from occfusion.priors.embedded.diffusion import diffuse, velocity
 from occfusion.settings.stages import PriorTrainingSettings
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
 

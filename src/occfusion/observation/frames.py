@@ -1,0 +1,123 @@
+"""The training frames before any mask is completed: where the body is, and how much of it an occluder hides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from occfusion.errors import DataError
+from occfusion.geometry.camera import project_vertices
+from occfusion.human.body import Body
+from occfusion.observation.bodyview import view_body
+from occfusion.observation.consistency import Motion
+from occfusion.observation.evidence import FITTING, Evidence, gather_evidence, misfit
+from occfusion.observation.keypoints import face_vertices, keypoints_3d
+from occfusion.types import Camera, Frame
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A frame as a prior sees it.
+
+    Attributes:
+        name: what errors call it.
+        rgb: the person as far as seen, black elsewhere, float32 `[H, W, 3]`, 0..1.
+        visible: the paper's M, bool `[H, W]`.
+        background: pixels known to show no person, bool `[H, W]`.
+        camera: the camera.
+        vertices: the body mesh in the world, `[V, 3]`, metres.
+        keypoints: its key points in the world, `[18, 3]`, metres.
+        faces: its triangles, `[F, 3]`.
+    """
+
+    name: str
+    rgb: NDArray[np.float32]
+    visible: Mask
+    background: Mask
+    camera: Camera
+    vertices: NDArray[np.float64]
+    keypoints: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is known of a training frame.
+
+    Attributes:
+        frame: number of the frame in the sequence.
+        vertices: the body mesh in the world, `[V, 3]`, metres.
+        keypoints: `[18, 3]`, metres.
+        motion: the mesh in the picture.
+        evidence: what is hidden.
+    """
+
+    frame: int
+    vertices: NDArray[np.float64]
+    keypoints: NDArray[np.float64]
+    motion: Motion
+    evidence: Evidence
+
+    def observation(self, frame: Frame, body: Body) -> Observation:
+        """Returns the frame as a prior sees it."""
+        return Observation(
+            name=frame.name,
+            rgb=frame.rgb.cpu().numpy(),
+            visible=frame.visible_mask.cpu().numpy(),
+            background=self.evidence.background,
+            camera=frame.camera.to("cpu"),
+            vertices=self.vertices,
+            keypoints=self.keypoints,
+            faces=body.faces.cpu().numpy(),
+        )
+
+
+@torch.no_grad()
+def look(frames: Iterable[Frame], body: Body) -> list[Moment]:
+    """Returns what masks and poses say of the training frames of one camera.
+
+    Raises:
+        DataError: the body of a frame is nowhere in the picture.
+    """
+    face, faces = face_vertices(body), body.faces.cpu().numpy()
+    bodies, seen, parts = [], [], []
+    for frame in frames:
+        pose, camera = frame.pose, frame.camera
+        found = body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)
+        vertices, joints = (part.double().cpu() for part in found)
+        viewmat, K = camera.viewmat.double().cpu().numpy(), camera.K.double().cpu().numpy()
+        pixels, depths = project_vertices(vertices.numpy(), viewmat, K)
+        covered = view_body(pixels, depths, faces, camera.width, camera.height).coverage > 0.5
+        if not covered.any():
+            raise DataError(
+                f"frame {frame.name}: the body lies outside the picture or behind the camera; check its "
+                f"parameters, or leave the frame out with dataset.train_frames"
+            )
+        bodies.append(covered)
+        seen.append(frame.visible_mask.cpu().numpy())
+        points = keypoints_3d(vertices, joints, face).numpy()
+        parts.append((frame.index, vertices.numpy(), points, Motion(pixels, depths)))
+    evidence = gather_evidence(bodies, seen)
+    return [Moment(*part, found) for part, found in zip(parts, evidence, strict=True)]
+
+
+def misfit_of(moments: Sequence[Moment] | None) -> tuple[float, int] | None:
+    """Returns how much of the body lies outside the mask, and in how many frames; None where these are too few.
+
+    A share, the median of the frames that show a whole person.
+    """
+    whole = [moment.evidence for moment in moments or () if not moment.evidence.occluded]
+    missed = misfit([own.outside_share for own in whole])
+    return None if missed is None else (missed, len(whole))
+
+
+def poses_fit(moments: Sequence[Moment] | None) -> bool:
+    """Returns whether poses need no mending, as far as the video tells."""
+    measured = misfit_of(moments)
+    return measured is not None and measured[0] < FITTING

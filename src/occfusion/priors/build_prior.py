@@ -1,0 +1,100 @@
+"""From the settings of `prior=` to a prior."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import torch
+
+from occfusion.errors import ConfigError
+from occfusion.priors.embedded.silhouette_prior import EmbeddedMaskPrior, EmbeddedScore, EmbeddedSettings
+from occfusion.priors.masks import MaskPrior
+from occfusion.priors.score import ScorePrior
+
+if TYPE_CHECKING:
+    from occfusion.priors.sd15.score_prior import Sd15ScoreSettings
+
+
+S = TypeVar("S")
+
+OTHERS = ("score", "inpaint")
+"""Keys of the settings of `prior=` that are not the mask prior's."""
+
+
+def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPrior:
+    """Returns the prior of a mapping with the key `name` and its settings; loads its weights.
+
+    Raises:
+        ConfigError: an unknown prior, key or type.
+        DataError: weights are missing or damaged.
+    """
+    name, options = settings.get("name"), mask_settings(settings)
+    if name == "embedded":
+        return EmbeddedMaskPrior(typed_settings(EmbeddedSettings, options), device)
+    if name == "sd15":
+        from occfusion.priors.sd15.mask_prior import Sd15MaskPrior, Sd15Settings  # diffusers is an extra
+
+        return Sd15MaskPrior(typed_settings(Sd15Settings, options), device)
+    raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")
+
+
+def mask_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the mask prior's own settings: all of `prior` but its name and the groups in it."""
+    return {key: value for key, value in settings.items() if key not in ("name", *OTHERS)}
+
+
+def make_score_prior(settings: Mapping[str, Any], device: torch.device) -> ScorePrior[Any]:
+    """Returns the prior whose score is distilled, of the same mapping as `make_mask_prior`; loads its weights.
+
+    Raises:
+        ConfigError: an unknown prior, key or type.
+        DataError: weights are missing or damaged.
+    """
+    name = settings.get("name")
+    if name == "embedded":
+        return EmbeddedScore(settings.get("weights"), device)
+    if name == "sd15":
+        from occfusion.priors.sd15.score_prior import Sd15Score
+
+        return Sd15Score(_score_settings(settings), device)
+    raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")
+
+
+def check_score_prior(settings: Mapping[str, Any]) -> None:
+    """Looks for the models of `make_score_prior` without loading them, before hours are spent on what precedes it.
+
+    Raises:
+        ConfigError: an unknown key or type, or a package is missing.
+        DataError: a model is missing or incomplete.
+    """
+    if settings.get("name") == "sd15":
+        from occfusion.priors.sd15.score_prior import find_score_models
+
+        find_score_models(_score_settings(settings))
+
+
+def _score_settings(settings: Mapping[str, Any]) -> Sd15ScoreSettings:
+    from occfusion.priors.sd15.score_prior import Sd15ScoreSettings
+
+    shared = {key: settings[key] for key in ("local_files_only", "dtype", "device") if key in settings}
+    return typed_settings(Sd15ScoreSettings, {**shared, **(settings.get("score") or {})})
+
+
+def typed_settings(kind: type[S], options: Mapping[str, Any], group: str = "prior") -> S:
+    """Returns a settings record of a mapping; numbers and texts must be of the kind of its defaults.
+
+    Raises:
+        ConfigError: an unknown key or a wrong type.
+    """
+    known = {field.name: field.default for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for key, value in options.items():
+        if key not in known:
+            raise ConfigError(f"setting {group}.{key}: unknown; this prior has {', '.join(known)}")
+        default = known[key]
+        if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+            continue
+        if default is not None and value is not None and not isinstance(value, type(default)):
+            raise ConfigError(f"setting {group}.{key}={value!r}: expected {type(default).__name__}")
+    return kind(**options)

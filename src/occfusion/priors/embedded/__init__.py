@@ -1,0 +1,1 @@
+"""The embedded prior: our own diffusion model of silhouettes, weights in the package."""
