@@ -144,3 +144,55 @@ def test_ragged_masks_err_a_little() -> None:
     overlap = (ragged & true).sum() / (ragged | true).sum()
     assert 0.9 < overlap < 0.995
     assert not disturb_mask(np.zeros((9, 9), np.float32), 512, np.random.default_rng(0))[0].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "poses", "rotation", "place", "width", "pixels", "light"),
+    [
+        ("001-hard-boxes", 4.41958, -0.472269, -0.307268, 0.3288, 151, 30.635),
+        ("104-clean-furniture", 3.388769, -2.215567, -0.104846, 0.126, 174, 21.643),
+        ("003-clean-poles", 9.41746, 2.008495, -0.140109, 0.2182, 220, 30.314),
+        ("002-hard-moving", 4.99933, 0.673951, -0.006015, 0.5977, 381, 41.92),
+        ("107-clean", 3.093841, 1.172661, -0.044535, 0.0, 282, 21.273),
+    ],
+)
+def test_scenes_stay_what_they_were(name, poses, rotation, place, width, pixels, light) -> None:
+    """Figures of scenes as they were written before people could stand still; files were the same, byte for byte."""
+    scene = _scene(name, image_size=64, frames=12, cameras=2)
+    p, shot = scene.parameters(7), next(scene.shots(7))
+    assert np.abs(p.poses).sum() == pytest.approx(poses, abs=1e-5)
+    assert p.Rh[1] == pytest.approx(rotation, abs=1e-5)
+    assert p.Th[0] == pytest.approx(place, abs=1e-5)
+    assert getattr(scene, "_width", 0.0) == pytest.approx(width, abs=1e-3)
+    assert abs(int(shot.mask.sum()) - pixels) <= 1
+    assert shot.image.mean() == pytest.approx(light, abs=0.02)
+
+
+def test_a_counter_hides_the_same_part_in_nearly_all_frames() -> None:
+    scene, body = _scene("005-clean-counter", frames=12, image_size=96), load_model_body()
+    feet = body.weights[:, [7, 8, 10, 11]].sum(1) > 0.5
+    camera, seen = scene.cameras[0], []
+    for frame in range(12):
+        local = scene.parameters(frame).vertices[feet] @ camera.R.T + camera.T
+        pixels = (local @ camera.K.T)[:, :2] / local[:, 2:]
+        column, row = pixels.astype(int).T
+        mask = next(scene.shots(frame)).mask
+        inside = (row >= 0) & (row < 96) & (column >= 0) & (column < 96)
+        seen.append(mask[row[inside], column[inside]].mean())
+        assert mask.any()
+    assert np.max(seen) < 0.05
+
+
+def test_who_sits_has_a_low_seat_and_feet_on_the_floor() -> None:
+    sitting, standing = _scene("003-clean-front-sit", frames=40), _scene("003-clean-front", frames=40)
+    for frame in (0, 20, 39):
+        assert sitting.parameters(frame).vertices[:, 2].min() == pytest.approx(0.0, abs=1e-6)
+    hips = [[_hip_height(s, k) for k in range(40)] for s in (sitting, standing)]
+    assert max(hips[0]) < 0.65 < max(hips[1])
+    assert np.ptp(hips[0]) < 0.1
+
+
+def _hip_height(scene: Scene, frame: int) -> float:
+    body = load_model_body()
+    joints = body.regressor @ (body.template + body.shapedirs @ scene.disk_betas)
+    return float(joints[0] @ [0, 1, 0] + scene.disk_take.transl[frame][1])

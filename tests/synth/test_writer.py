@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -159,6 +160,50 @@ def test_runs_that_need_the_same_scene_at_once_write_it_once(
         thread.join(120)
     assert len(made) == 1
     assert [path.name for path in tmp_path.iterdir()] == [TINY.name]
+
+
+BLENDED = 0.2
+"""Degrees that the pelvis sways where one movement is blended into the next."""
+
+
+def _yaw(folder: Path) -> np.ndarray:
+    """Where the body of each frame on disk faces, degrees; 0: the world's -y, where the first camera stands."""
+    found = []
+    for k in range(len(list((folder / "new_params").iterdir()))):
+        params = load_npy(folder / "new_params" / f"{k}.npy")
+        turn, _ = cv2.Rodrigues(np.asarray(params["Rh"], np.float64).reshape(3))
+        side = turn @ [1.0, 0.0, 0.0]  # the body's left: level however far it bends
+        found.append(np.degrees(np.arctan2(side[1], side[0])))
+    return np.asarray(found)
+
+
+@pytest.mark.parametrize(
+    ("words", "sweep", "middle"), [("front", 30, 0), ("back", 30, 180), ("side-sit", 30, 90), ("turn0", 0, 0)]
+)
+def test_who_does_not_turn_stays_within_the_sweep(
+    tmp_path: Path, words: str, sweep: float, middle: float
+) -> None:
+    spec = replace(SceneSpec.parse(f"103-clean-{words}"), image_size=16, frames=60, cameras=1)
+    yaw = (_yaw(write_scene(tmp_path, spec, progress=False)) - middle + 180.0) % 360.0 - 180.0
+    assert np.abs(yaw).max() <= 0.5 * sweep + BLENDED
+    assert np.ptp(yaw) == pytest.approx(sweep, abs=0.02 * sweep + BLENDED)
+
+
+def test_without_such_a_word_people_turn_all_round(tmp_path: Path) -> None:
+    spec = replace(SceneSpec.parse("103-clean"), image_size=16, frames=100, cameras=1)
+    yaw = _yaw(write_scene(tmp_path, spec, progress=False))
+    assert set((yaw % 360 // 30).astype(int)) == set(range(12))
+
+
+def test_a_short_scene_is_the_beginning_of_a_long_one(tmp_path: Path) -> None:
+    long, short = (
+        write_scene(tmp_path, replace(SceneSpec.parse(name), image_size=16, cameras=1), progress=False)
+        for name in ("002-clean-front", "002-clean-front-short10")
+    )
+    files = {k: v for k, v in _hashes(long).items() if k.endswith(".npy") and k.startswith("new_")}
+    beginning = {k: v for k, v in _hashes(short).items() if k.endswith(".npy") and k.startswith("new_")}
+    assert len(beginning) == 20
+    assert beginning.items() <= files.items()
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

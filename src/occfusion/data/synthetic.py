@@ -8,7 +8,7 @@ from pathlib import Path
 
 from occfusion.data.module import RestBody
 from occfusion.data.zju import ZjuDataModule
-from occfusion.synth import SceneSpec, write_scene
+from occfusion.synth import SceneSpec, with_turn, write_scene
 
 FAST_DEV_SIZE = 96
 FAST_DEV_FRAMES = 4
@@ -24,6 +24,8 @@ def make_synthetic(
     frames: int = 100,
     cameras: int = 23,
     light: str = "soft",
+    turn: int | None = None,
+    facing: int | None = None,
     train_camera: int = 0,
     test_cameras: Sequence[int] | None = None,
     train_frames: Sequence[int] | None = None,
@@ -37,12 +39,14 @@ def make_synthetic(
 
     Args:
         root: folder of the written scenes; each size and length has a folder of its own there.
-        scene: `NNN-level[-occluders]`, for example `001-clean`, `101-hard`, `101-hard-boxes`.
+        scene: `NNN-level[-words]`, for example `001-clean`, `101-hard-boxes`, `103-clean-front`.
         body: the embedded body.
         image_size: width and height in pixels of the written pictures.
         frames: moments of the written scene.
         cameras: of the ring around the person.
         light: `soft` or `directional`.
+        turn: degrees that the person turns, to and fro; 360: all round; None: as the name of the scene says.
+        facing: which side the first camera sees, degrees: 0 the front, 180 the back; None: as the name says.
         train_camera: see `ZjuDataModule`, as all that follows.
         test_cameras: ...
         train_frames: ...
@@ -55,14 +59,15 @@ def make_synthetic(
     Raises:
         ConfigError: a scene name, size or light that does not exist.
     """
-    spec = replace(SceneSpec.parse(scene), image_size=image_size, frames=frames, cameras=cameras, light=light)
+    spec = with_turn(SceneSpec.parse(scene), turn, facing)
+    spec = replace(spec, image_size=image_size, frames=frames, cameras=cameras, light=light)
     if fast_dev_run:
         spec = replace(spec, image_size=FAST_DEV_SIZE, frames=FAST_DEV_FRAMES, cameras=FAST_DEV_CAMERAS)
     folder = Path(root) / f"{spec.image_size}px-{spec.frames}x{spec.cameras}-{spec.light}"
     write_scene(folder, spec)
     return ZjuDataModule(
         folder,
-        scene,
+        spec.name,
         body,
         image_size=image_size,
         train_camera=train_camera,

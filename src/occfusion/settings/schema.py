@@ -177,6 +177,9 @@ def settings_hash(settings: Settings) -> str:
     for key in ("checkpoint_every", "enable_progress_bar"):
         del relevant["trainer"][key]
     del relevant["dataset"]["root"], relevant["variant"]["paper"]
+    for key in ("turn", "facing"):  # unset they change nothing: runs from before they existed go on
+        if relevant["dataset"].get(key) is None:
+            relevant["dataset"].pop(key, None)
     return hashlib.sha256(json.dumps(relevant, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 

@@ -8,9 +8,9 @@ from occfusion.geometry.normals import vertex_normals
 from occfusion.synth.cloth import swing, wrinkles
 from occfusion.synth.dress import dress
 from occfusion.synth.fullbody import bone_transforms, load_full_body, skin
-from occfusion.synth.motion import make_take
+from occfusion.synth.motion import Take, make_take
 from occfusion.synth.rotations import Floats
-from occfusion.synth.spec import SceneSpec
+from occfusion.synth.spec import MAX_SHORT, SceneSpec
 from occfusion.synth.studio import Y_UP_TO_Z_UP
 from occfusion.synth.subject import make_subject
 
@@ -30,7 +30,17 @@ class Actor:
         self.figure = dress(self.subject)
         # moments of all levels agree, so that `hard` differs from `clean` in what makes it hard alone
         rng = np.random.default_rng([spec.seed, spec.subject, 1])
-        self.take = make_take(spec.frames, self.subject.betas, spec.is_held_out, rng)
+        self.take = make_take(
+            max(spec.frames, MAX_SHORT) if spec.short else spec.frames,
+            self.subject.betas,
+            spec.is_held_out,
+            rng,
+            turn=spec.turn,
+            facing=spec.facing,
+            seated=spec.motion == "sitting",
+        )
+        if spec.short:  # the beginning of a long take, at its pace
+            self.take = Take(self.take.poses[: spec.frames], self.take.transl[: spec.frames])
         self._is_hard = spec.level == "hard"
         if self._is_hard:
             self._swinging, self._swing = swing(self.figure, self.take)

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from occfusion.synth.fullbody import asset_arrays, bone_transforms, load_model_body, skin
-from occfusion.synth.moves import HELD_OUT_MOVES, TRAINING_MOVES, Move
+from occfusion.synth.moves import HELD_OUT_MOVES, L_HIP, L_KNEE, R_HIP, R_KNEE, TRAINING_MOVES, Move
 from occfusion.synth.rotations import (
     Floats,
     about_y,
@@ -28,7 +28,10 @@ FADE_SECONDS = 0.6
 TURN_FRAMES = 100  # frames for one full turn, so that one camera sees every side
 MAX_TURN = 0.26  # radians a frame (15 degrees): short takes turn faster, but not absurdly
 FOOT_JOINTS = (7, 8, 10, 11)
+LEG_JOINTS = (L_HIP, R_HIP, L_KNEE, R_KNEE, *FOOT_JOINTS)
 SWAY = 0.12  # metres a person drifts from the middle of the studio
+SEATED_SWAY = 0.02  # metres, on a seat
+SEATED_BEND = 1.35  # radians of hips and knees
 
 Stretch = tuple[str, int, int]
 
@@ -109,7 +112,16 @@ def smooth_noise(rng: np.random.Generator, frames: int, channels: int, period: f
     return np.asarray(out / spread)
 
 
-def make_take(frames: int, betas: Floats, held_out: bool, rng: np.random.Generator) -> Take:
+def make_take(
+    frames: int,
+    betas: Floats,
+    held_out: bool,
+    rng: np.random.Generator,
+    *,
+    turn: float = 360.0,
+    facing: float = 0.0,
+    seated: bool = False,
+) -> Take:
     """Returns a take of a person of that shape.
 
     Args:
@@ -117,6 +129,9 @@ def make_take(frames: int, betas: Floats, held_out: bool, rng: np.random.Generat
         betas: shape, `[10]`; the floor depends on it.
         held_out: draw from the stretches and movements kept for evaluation.
         rng: source of all choices.
+        turn: degrees that the body turns; 360: steadily all round, less: to and fro within so much.
+        facing: middle of a turn to and fro, degrees; at 0 the body faces +z, at 90 +x.
+        seated: legs stay seated; the rest moves as recorded.
     """
     stretches = HELD_OUT_STRETCHES if held_out else TRAINING_STRETCHES
     moves = HELD_OUT_MOVES if held_out else TRAINING_MOVES
@@ -130,15 +145,48 @@ def make_take(frames: int, betas: Floats, held_out: bool, rng: np.random.Generat
             parts.append(_recorded(stretches[recorded[k % len(recorded)]]))
         length = len(_chain(parts))
     quaternions = _chain(parts)[:frames]
-    turn = min(2.0 * np.pi / min(frames, TURN_FRAMES), MAX_TURN)
-    heading: Floats = rng.uniform(0.0, 2.0 * np.pi) + turn * np.arange(frames, dtype=np.float64)
-    heading += 0.15 * smooth_noise(rng, frames, 1, 12.0)[:, 0]
+    if seated:
+        quaternions = _seated(quaternions, rng)
+    if turn < 360.0:
+        heading = np.radians(facing) + _to_and_fro(frames, np.radians(turn), rng)
+    else:
+        heading = _all_round(frames, rng)
     quaternions[:, 0] = multiply(about_y(heading), quaternions[:, 0])
     poses = axis_angle_from_quaternion(quaternions).reshape(frames, 72)
     transl = np.zeros((frames, 3))
-    transl[:, [0, 2]] = SWAY * smooth_noise(rng, frames, 2, 18.0)
+    transl[:, [0, 2]] = (SEATED_SWAY if seated else SWAY) * smooth_noise(rng, frames, 2, 18.0)
     transl[:, 1] = -_lowest(poses, betas)
     return Take(poses, transl)
+
+
+def _all_round(frames: int, rng: np.random.Generator) -> Floats:
+    """Returns headings that go round and round, `[frames]`, radians."""
+    step = min(2.0 * np.pi / min(frames, TURN_FRAMES), MAX_TURN)
+    heading: Floats = rng.uniform(0.0, 2.0 * np.pi) + step * np.arange(frames, dtype=np.float64)
+    return heading + 0.15 * smooth_noise(rng, frames, 1, 12.0)[:, 0]
+
+
+def _to_and_fro(frames: int, sweep: float, rng: np.random.Generator) -> Floats:
+    """Returns headings that swing about 0 within `sweep`, `[frames]`, radians; both ends are reached in a take."""
+    # at its fastest a swing of that period turns by MAX_TURN a frame
+    period = max(float(min(frames, TURN_FRAMES)), np.pi * sweep / MAX_TURN)
+    phase = rng.uniform(0.0, 1.0) + np.arange(frames, dtype=np.float64) / period
+    return np.asarray(0.5 * sweep * np.cos(2.0 * np.pi * phase))
+
+
+def _seated(quaternions: Floats, rng: np.random.Generator) -> Floats:
+    """Returns the poses with the legs of somebody who sits upright, `[T, 24, 4]`."""
+    frames = len(quaternions)
+    legs = np.zeros((frames, 24, 3))
+    wander = smooth_noise(rng, frames, 4, 25.0)
+    for side, (hip, knee) in enumerate(((L_HIP, L_KNEE), (R_HIP, R_KNEE))):
+        bend = SEATED_BEND + 0.05 * wander[:, side]
+        legs[:, hip, 0], legs[:, knee, 0] = -bend, bend
+        legs[:, hip, 2] = (1.0 - 2.0 * side) * (0.15 + 0.04 * wander[:, 2 + side])
+    out = quaternions.copy()
+    out[:, LEG_JOINTS] = quaternion_from_axis_angle(legs)[:, LEG_JOINTS]
+    out[:, 0] = (1.0, 0.0, 0.0, 0.0)  # whoever sits keeps the pelvis upright
+    return out
 
 
 def _lowest(poses: Floats, betas: Floats) -> Floats:

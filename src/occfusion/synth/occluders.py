@@ -1,6 +1,7 @@
-"""Things that stand or move between the first camera and the person: boxes, poles, furniture, a passer-by.
+"""Things that stand or move between the first camera and the person: boxes, poles, furniture, a passer-by, a counter.
 
-Their width is fitted to the take, so that a wanted share of the person is hidden from the first camera.
+Their width, or a counter's height, is fitted to the take, so that a wanted share of the person is hidden from the
+first camera.
 """
 
 from __future__ import annotations
@@ -100,19 +101,28 @@ def _passer(width: float, rng: np.random.Generator) -> list[Solid]:
     return [body, board, _column(0.0, 0.0, 0.22 * width, 1.75, (0.5, 0.4, 0.33))]
 
 
+def _counter(height: float, rng: np.random.Generator) -> list[Solid]:
+    """Returns a closed counter as wide as the picture; its height is what is fitted."""
+    front, board = COLOURS[int(rng.integers(5))], COLOURS[int(rng.integers(5))]
+    body = _block((-1.0, -0.2, 0.0), (1.0, 0.2, 0.96 * height), front)
+    return [body, _block((-1.0, -0.25, 0.96 * height), (1.0, 0.25, height), board)]
+
+
 _BUILDERS: dict[str, Callable[[float, np.random.Generator], list[Solid]]] = {
     "boxes": _boxes,
-    "poles": _poles,
     "furniture": _furniture,
     "moving": _passer,
+    "poles": _poles,
+    "counter": _counter,
 }
+"""By kind; the place of a kind in this list enters its random numbers, so new ones come last."""
 
 
 class Occluder:
     """One arrangement of things; a function of the frame alone."""
 
     def __init__(self, kind: str, seed: int, subject: int, camera: StudioCamera) -> None:
-        rng = np.random.default_rng([seed, subject, 9, sorted(_BUILDERS).index(kind)])
+        rng = np.random.default_rng([seed, subject, 9, list(_BUILDERS).index(kind)])
         self.kind = kind
         self.wanted = float(rng.uniform(*SHARES))
         self._build_seed = int(rng.integers(2**31))
@@ -128,7 +138,7 @@ class Occluder:
         return self.kind == "moving"
 
     def mesh(self, width: float, frame: int) -> Mesh:
-        """Returns it in the world at a frame; `width` in metres is what is fitted."""
+        """Returns it in the world at a frame; `width` in metres (a counter's height) is what is fitted."""
         solids = _BUILDERS[self.kind](width, np.random.default_rng(self._build_seed))
         shift = 0.0
         if self.is_moving:
