@@ -20,7 +20,7 @@ from occfusion.data.handful import held_out_handful, training_handful
 from occfusion.evaluation.pictures import captioned, to_uint8
 from occfusion.files.atomic import write_png
 from occfusion.human import Avatar
-from occfusion.human.rendering import render_frame
+from occfusion.human.rendering import Renderer
 from occfusion.run.compose import make_body, make_data
 from occfusion.run.loaded import load_run
 from occfusion.types import Frame
@@ -50,7 +50,8 @@ def draw_row(frame: Frame, avatars: list[Avatar], is_input: bool) -> NDArray[np.
     """Returns one row of pictures."""
     assert frame.truth is not None
     seen = frame.rgb * frame.visible_mask[..., None] if is_input else torch.zeros_like(frame.rgb)
-    renderings = [render_frame(avatar.eval(), frame, "torch").rgb.clamp(0.0, 1.0) for avatar in avatars]
+    renderer = Renderer("torch")
+    renderings = [renderer.frame(avatar.eval(), frame).rgb.clamp(0.0, 1.0) for avatar in avatars]
     pictures = [seen, *renderings, frame.truth.rgb]
     names = ["input" if is_input else "held out", "A", "D", "E", "truth"]
     return np.concatenate(

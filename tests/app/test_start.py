@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 
 from occfusion.data.sampling import spread
-from occfusion.human.rendering import render_frame
+from occfusion.human.rendering import Renderer
 from occfusion.run.compose import make_body, make_data
 from occfusion.run.loaded import load_run
 
@@ -35,7 +35,7 @@ def error_of(folder: Path) -> float:
     errors = []
     for k in range(len(data.train_indices)):
         frame = data.train_frame(k)
-        made = render_frame(found.avatar, frame, "torch")
+        made = Renderer("torch").frame(found.avatar, frame)
         inside = frame.visible_mask & (made.alpha > 0.9)
         errors.append((made.rgb - frame.rgb)[inside].abs().mean())
     return float(torch.stack(errors).mean())

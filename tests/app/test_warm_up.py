@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from occfusion.run import stages as avatar_run
-from occfusion.splat import warm_up
+from occfusion.human.rendering import Renderer
 from occfusion.stages import clock
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
@@ -72,14 +71,14 @@ def test_training_compiles_nothing(scene_root: Path, tmp_path: Path, variant: st
 def test_the_clock_stands_still_until_the_kernels_are_ready(
     train: Train, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def slowly(backend: str, device: torch.device) -> float:
+    def slowly(renderer: Renderer) -> float:
         passed.append(1000.0)
         time.sleep(0.1)  # what takes longer than 0.05 s is told
-        return warm_up(backend, device)
+        return warm_up(renderer)
 
-    passed, now = [0.0], clock.synchronised_time
+    passed, now, warm_up = [0.0], clock.synchronised_time, Renderer.warm_up
     monkeypatch.setattr(clock, "synchronised_time", lambda: now() + sum(passed))
-    monkeypatch.setattr(avatar_run, "warm_up", slowly)
+    monkeypatch.setattr(Renderer, "warm_up", slowly)
     _, metrics = train("optim.steps=2")
     assert len(passed) == 2 and 0 < metrics["train_seconds"]["optim"] < 1000
     assert "before the training clock" in capsys.readouterr().out
@@ -89,5 +88,5 @@ def test_the_clock_stands_still_until_the_kernels_are_ready(
 def test_warming_up_leaves_random_numbers_and_modes_alone(backend: str) -> None:
     before = torch.get_rng_state()
     with torch.inference_mode():
-        assert warm_up(backend, torch.device("cpu")) > 0
+        assert Renderer(backend).warm_up() > 0
     assert torch.equal(before, torch.get_rng_state())

@@ -10,7 +10,7 @@ import torch
 
 from made_up_person import made_up_camera
 from occfusion.human import Avatar, Body
-from occfusion.human.rendering import render_cloud
+from occfusion.human.rendering import Renderer
 from occfusion.types import Frame, Pose
 from oracles.people import make_arrays
 
@@ -45,7 +45,7 @@ def make_frame(avatar: Avatar) -> MakeFrame:
         camera = made_up_camera(SIZE)
         pose = standing()
         with torch.no_grad():
-            made = render_cloud(avatar(pose, camera.centre), camera, "torch")
+            made = Renderer("torch").draw(avatar(pose, camera.centre), camera)
         person = made.alpha > 0.5
         visible = person if hidden is None else person & ~hidden
         rgb = made.rgb.float().clamp(0.0, 1.0)

@@ -9,9 +9,12 @@ import torch
 from torch.testing import assert_close
 
 from occfusion.human import Avatar
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import ENOUGH, Accumulated, accumulate, paint_observed, paint_unseen
 from occfusion.splat import rasterize
 from occfusion.types import Frame
+
+RENDERER = Renderer("torch")
 
 SIZE = 48
 MakeFrame = Callable[..., Frame]
@@ -42,7 +45,7 @@ def one_by_one(avatar: Avatar, frame: Frame) -> tuple[torch.Tensor, torch.Tensor
 
 def test_weights_and_colours_are_those_of_the_visible_pixels(avatar: Avatar, make_frame: MakeFrame) -> None:
     frames = [make_frame(0), make_frame(1, left_half())]
-    found = accumulate(avatar, frames, "torch")
+    found = accumulate(avatar, frames, RENDERER)
     parts = [one_by_one(avatar, frame) for frame in frames]
     weights = parts[0][0] + parts[1][0]
     assert_close(found.weights, weights, rtol=1e-4, atol=1e-4)
@@ -56,18 +59,18 @@ def test_weights_and_colours_are_those_of_the_visible_pixels(avatar: Avatar, mak
 
 def test_what_is_hidden_counts_nothing(avatar: Avatar, make_frame: MakeFrame) -> None:
     everything = torch.ones(SIZE, SIZE, dtype=torch.bool)
-    alone = accumulate(avatar, [make_frame(0, left_half())], "torch")
-    with_hidden = accumulate(avatar, [make_frame(0, left_half()), make_frame(1, everything)], "torch")
+    alone = accumulate(avatar, [make_frame(0, left_half())], RENDERER)
+    with_hidden = accumulate(avatar, [make_frame(0, left_half()), make_frame(1, everything)], RENDERER)
     assert_close(with_hidden.weights, alone.weights)
     assert_close(with_hidden.colors, alone.colors)
-    nothing = accumulate(avatar, [make_frame(0, everything)], "torch")
+    nothing = accumulate(avatar, [make_frame(0, everything)], RENDERER)
     assert (nothing.weights == 0).all() and (nothing.colors == 0.5).all()
 
 
 def test_unseen_gaussians_take_the_colours_of_neighbours(avatar: Avatar, make_frame: MakeFrame) -> None:
     frame = make_frame(0)
     red = Frame(**{**vars(frame), "rgb": torch.tensor([0.8, 0.1, 0.2]).expand(SIZE, SIZE, 3).contiguous()})
-    found = accumulate(avatar, [red], "torch")
+    found = accumulate(avatar, [red], RENDERER)
     assert (found.weights < ENOUGH).any(), "the scene has hidden Gaussians"
     assert_close(found.colors, torch.tensor([0.8, 0.1, 0.2]).expand_as(found.colors), rtol=0, atol=2e-3)
 
@@ -87,7 +90,7 @@ def test_colours_are_those_under_even_light(avatar: Avatar, make_frame: MakeFram
                 lit(frame.pose, frame.camera.centre).colors / avatar(frame.pose, frame.camera.centre).colors
             )
         weights, sums = weights + weight, sums + observed / bright
-    found, even = accumulate(lit, frames, "torch"), accumulate(avatar, frames, "torch")
+    found, even = accumulate(lit, frames, RENDERER), accumulate(avatar, frames, RENDERER)
     known = (weights > ENOUGH) & sums.isfinite().all(
         dim=1
     )  # colours below zero are cut off, and tell no brightness
@@ -102,7 +105,7 @@ def test_colours_are_those_under_even_light(avatar: Avatar, make_frame: MakeFram
 
 def test_the_avatar_is_not_changed_and_grows_no_gradient(avatar: Avatar, make_frame: MakeFrame) -> None:
     before = {name: value.clone() for name, value in avatar.state_dict().items() if torch.is_tensor(value)}
-    accumulate(avatar, [make_frame(0)], "torch")
+    accumulate(avatar, [make_frame(0)], RENDERER)
     for name, value in before.items():
         assert torch.equal(avatar.state_dict()[name], value), name
     assert all(parameter.grad is None for parameter in avatar.parameters())
@@ -139,7 +142,7 @@ def test_what_nobody_saw_is_painted_and_what_was_seen_stays(avatar: Avatar, make
 
 def test_a_given_opacity_is_that_of_all_gaussians(avatar: Avatar, make_frame: MakeFrame) -> None:
     frame = make_frame(0)
-    found = accumulate(avatar, [frame], "torch", opacity=0.95)
+    found = accumulate(avatar, [frame], RENDERER, opacity=0.95)
     with torch.no_grad():
         avatar.gaussians.opacity_logits.fill_(torch.logit(torch.tensor(0.95)))
     known, _ = one_by_one(avatar, frame)
@@ -150,7 +153,7 @@ def test_observed_colours_are_given_to_all_and_seen_from_all_sides(
     avatar: Avatar, make_frame: MakeFrame
 ) -> None:
     frame = make_frame(0, left_half())
-    paint_observed(avatar, accumulated := accumulate(avatar, [frame], "torch", opacity=0.95))
+    paint_observed(avatar, accumulated := accumulate(avatar, [frame], RENDERER, opacity=0.95))
     for centre in (frame.camera.centre, -frame.camera.centre):
         assert_close(avatar(frame.pose, centre).colors, accumulated.colors, rtol=0, atol=1e-5)
 
@@ -161,6 +164,6 @@ def test_few_pixels_for_many_gaussians_are_better_than_grey(
     monkeypatch.setattr("occfusion.inpaint.accumulation.ENOUGH", 1e6)
     frame = make_frame(0)
     red = Frame(**{**vars(frame), "rgb": torch.tensor([0.8, 0.1, 0.2]).expand(SIZE, SIZE, 3).contiguous()})
-    found = accumulate(avatar, [red], "torch")
+    found = accumulate(avatar, [red], RENDERER)
     assert_close(found.colors, torch.tensor([0.8, 0.1, 0.2]).expand_as(found.colors), rtol=0, atol=2e-3)
     assert (found.seen > 0.5).sum() >= (found.weights > 0).sum() // 2 - 1

@@ -11,7 +11,7 @@ from torch import Tensor
 from made_up_partial import made_up_partial
 from occfusion.human import embedded_body
 from occfusion.human.avatar import Avatar
-from occfusion.human.rendering import canonical_alpha, outline, render_frame
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import accumulate
 from occfusion.inpaint.partial import take_partial
 from occfusion.settings.stages import OptimSettings
@@ -45,21 +45,21 @@ def test_every_picture_of_an_avatar_has_its_dilation(frame: Frame, dilation: flo
     with torch.no_grad():
         avatar.gaussians.opacity_logits.fill_(2.0)
         cloud, canonical = avatar(frame.pose, camera.centre), avatar.canonical(camera.centre)
-    want = alpha_of(cloud, camera, dilation)
+    want, renderer = alpha_of(cloud, camera, dilation), Renderer("torch")
     assert (want - alpha_of(cloud, camera, 0.2)).abs().max() > 0.01
-    torch.testing.assert_close(render_frame(avatar, frame, "torch").alpha, want)
-    assert torch.equal(outline(avatar, frame, "torch"), want > 0.5)
+    torch.testing.assert_close(renderer.frame(avatar, frame).alpha, want)
+    assert torch.equal(renderer.outline(avatar, frame), want > 0.5)
     torch.testing.assert_close(
-        canonical_alpha(avatar, camera, "torch").detach(), alpha_of(canonical, camera, dilation)
+        renderer.canonical_alpha(avatar, camera).detach(), alpha_of(canonical, camera, dilation)
     )
     observation = replace(made_up_partial(SIZE).observation, camera=camera)
-    accumulated = accumulate(avatar, [frame], "torch")
+    accumulated = accumulate(avatar, [frame], renderer)
     # each pixel's weights sum to its occupancy
     torch.testing.assert_close(accumulated.weights.sum(), want[frame.visible_mask].sum(), rtol=1e-4, atol=0.0)
-    partial = take_partial(avatar, accumulated, frame, observation, "torch")
+    partial = take_partial(avatar, accumulated, frame, observation, renderer)
     torch.testing.assert_close(torch.from_numpy(partial.alpha), want)
     settings = OptimSettings(lambda_lpips=0.0)
-    stage = OptimStage(avatar, settings, perceptual=None, densifier=None, backend="torch", seed=0)
+    stage = OptimStage(avatar, settings, perceptual=None, densifier=None, renderer=renderer, seed=0)
     rendering, (x, y, width, height) = stage._render_crop(frame)
     torch.testing.assert_close(rendering.alpha.detach(), want[y : y + height, x : x + width])
 
@@ -68,12 +68,14 @@ def test_between_stages_pictures_are_made_on_the_host_whatever_trains(frame: Fra
     """A run on a GPU trains with gsplat; its avatar is back on the host when it is painted, traced and evaluated."""
     avatar = Avatar(embedded_body(), dilation=0.1).eval()
     observation = replace(made_up_partial(SIZE).observation, camera=frame.camera)
-    accumulated = [accumulate(avatar, [frame], backend) for backend in ("auto", "gsplat")]
+    host, trainer = Renderer("auto"), Renderer("auto")
+    trainer.backend = "gsplat"  # as it is on a GPU
+    accumulated = [accumulate(avatar, [frame], renderer) for renderer in (host, trainer)]
     assert torch.equal(accumulated[0].weights, accumulated[1].weights)
-    pictures = [render_frame(avatar, frame, backend).rgb for backend in ("auto", "gsplat")]
+    pictures = [renderer.frame(avatar, frame).rgb for renderer in (host, trainer)]
     assert torch.equal(pictures[0], pictures[1])
-    assert torch.equal(outline(avatar, frame, "auto"), outline(avatar, frame, "gsplat"))
+    assert torch.equal(host.outline(avatar, frame), trainer.outline(avatar, frame))
     taken = [
-        take_partial(avatar, accumulated[0], frame, observation, backend) for backend in ("auto", "gsplat")
+        take_partial(avatar, accumulated[0], frame, observation, renderer) for renderer in (host, trainer)
     ]
     assert (taken[0].coarse == taken[1].coarse).all()

@@ -15,6 +15,7 @@ from made_up_partial import made_up_partial
 from occfusion.files.atomic import write_png
 from occfusion.human import embedded_body
 from occfusion.human.avatar import Avatar
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.partial import KNOWN
 from occfusion.settings.stages import RefineSettings
 from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
@@ -66,7 +67,7 @@ def stage_of(references: References, outlines: Masks | None = None, **settings: 
     doubts = Doubts({7: (~mask_of(SEEN) & ~mask_of(ELSEWHERE)).numpy()}, {7: mask_of(UNASKED).numpy()})
     return RefineStage(
         Avatar(embedded_body()), chosen, references, doubts, outlines or {}, perceptual=None,
-        densifier=None, backend="torch", seed=0, steps_before=0,
+        densifier=None, renderer=Renderer("torch"), seed=0, steps_before=0,
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from occfusion.geometry.camera import look_at, project_vertices
 from occfusion.human import Avatar, embedded_body
 from occfusion.human.body import Body
 from occfusion.human.gaussians import Gaussians
+from occfusion.human.rendering import Renderer
 from occfusion.observation.bodyview import view_body
 from occfusion.observation.crop import CANONICAL_ANGLES, view_canonical
 from occfusion.observation.frames import look
@@ -121,7 +122,7 @@ def fitted(
     if settings is not None:
         prior = EmbeddedScore(weights)
         distiller = Distiller(
-            prior, settings, steps=steps, moments=moments, body=body, backend="auto", seed=0
+            prior, settings, steps=steps, moments=moments, body=body, renderer=Renderer("auto"), seed=0
         )
     rates = {"means": 1.6e-4, "sh0": 0.0, "opacity": 5e-2, "scales": 5e-3, "quats": 1e-3}
     adam = torch.optim.Adam(avatar.parameter_groups(rates), eps=1e-15)

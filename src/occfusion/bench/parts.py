@@ -11,7 +11,7 @@ from torch import Tensor
 from occfusion.bench.scenes import SceneSize, make_scene
 from occfusion.geometry.resample import take_square
 from occfusion.human import Avatar, embedded_body
-from occfusion.human.rendering import canonical_alpha
+from occfusion.human.rendering import Renderer
 from occfusion.observation.crop import view_canonical
 from occfusion.perceptual import load_perceptual
 from occfusion.priors.embedded.silhouette_prior import EmbeddedScore
@@ -101,7 +101,7 @@ def _distillation_parts(alpha: Tensor, box: Box, backend: str) -> dict[str, Call
     view = view_canonical(body, 0, prior.size)
     told, mask = prior.look(view), torch.ones(prior.size, prior.size)
     camera = replace(view.camera, viewmat=view.camera.viewmat.float(), K=view.camera.K.float())
-    avatar = Avatar(body, sh_degree=0)
+    avatar, renderer = Avatar(body, sh_degree=0), Renderer(backend)
     draw = Draw(0.9, torch.randn(1, *prior.signal_shape, generator=torch.Generator().manual_seed(0)))
 
     def push(occupancy: Tensor) -> None:
@@ -114,7 +114,7 @@ def _distillation_parts(alpha: Tensor, box: Box, backend: str) -> dict[str, Call
         push(take_square(moving, box, box[0], box[1], max(box[2:]), prior.size))
 
     def canonical() -> None:
-        push(canonical_alpha(avatar, camera, backend))
+        push(renderer.canonical_alpha(avatar, camera))
 
     return {
         f"distillation, {prior.name} {prior.size} px, the frame's pose": posed,

@@ -13,9 +13,8 @@ from occfusion.errors import ConfigError
 from occfusion.evaluation.pictures import Image, to_uint8
 from occfusion.files.video import write_frames
 from occfusion.geometry.camera import orbit_camera
-from occfusion.human.rendering import render_cloud
+from occfusion.human.rendering import Renderer
 from occfusion.run.loaded import load_run
-from occfusion.splat import resolve_backend
 
 PATHS = ("turntable", "canonical")
 DISTANCE = 3.2
@@ -52,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
 @torch.no_grad()
 def _pictures(arguments: argparse.Namespace) -> Iterator[Image]:
     loaded = load_run(arguments.run)
-    avatar, backend = loaded.avatar, resolve_backend("auto", torch.device("cpu"), torch.float32)
+    avatar, renderer = loaded.avatar, Renderer("auto")
     background = torch.ones(3) if arguments.white else None
     pose = loaded.upright_pose if arguments.path == "turntable" else None
     reference = avatar.canonical(torch.zeros(3)) if pose is None else avatar(pose, torch.zeros(3))
@@ -61,4 +60,4 @@ def _pictures(arguments: argparse.Namespace) -> Iterator[Image]:
         angle = 2 * math.pi * k / arguments.frames
         camera = orbit_camera((low + high) / 2, angle, DISTANCE, FIELD_OF_VIEW, arguments.size)
         cloud = avatar.canonical(camera.centre) if pose is None else avatar(pose, camera.centre)
-        yield to_uint8(render_cloud(cloud, camera, backend, background).rgb)
+        yield to_uint8(renderer.draw(cloud, camera, background=background).rgb)

@@ -1,57 +1,108 @@
-"""Avatar x camera -> picture, outside training."""
+"""Avatar x camera -> picture."""
 
 from __future__ import annotations
 
+import time
+
 import torch
+from torch import Tensor
 
 from occfusion.human.avatar import Avatar
-from occfusion.splat import Limits, fitting_backend, rasterize
-from occfusion.types import Camera, Cloud, Frame, Rendering
+from occfusion.splat import Limits, fitting_backend, rasterize, resolve_backend
+from occfusion.types import Box, Camera, Cloud, Frame, Rendering
+
+WARM_UP_SIZE = 16
+"""Pixels; kernels are compiled for types of arrays, not for sizes."""
 
 
-def render_cloud(
-    cloud: Cloud, camera: Camera, backend: str, background: torch.Tensor | None = None
-) -> Rendering:
-    """Returns the picture of posed Gaussians; black behind them when `background` `[3]` is None.
+class Renderer:
+    """Draws posed Gaussians with one backend; built once a run and handed to all that draw.
 
-    It is made where the Gaussians are, by another backend where `backend` does not run there.
+    A picture is made where the Gaussians are. Between stages, when an avatar is back on the host, that can be where the
+    backend does not run; the best one there is taken then.
+
+    Args:
+        backend: rasteriser backend; `auto` for the best on `device`.
+        device: where the run trains.
+
+    Raises:
+        ConfigError: the backend is unknown or does not run on the device.
     """
-    device = cloud.means.device
-    camera, backend = camera.to(device), fitting_backend(backend, device)
-    return rasterize(
-        cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,
-        camera.width, camera.height, background=background, covariances=cloud.covariances, backend=backend,
-        limits=Limits(dilation=cloud.dilation),
-    )  # fmt: skip
 
+    def __init__(self, backend: str, device: torch.device | str = "cpu") -> None:
+        self.device = torch.device(device)
+        self.backend = resolve_backend(backend, self.device)
 
-def canonical_alpha(avatar: Avatar, camera: Camera, backend: str) -> torch.Tensor:
-    """Returns the occupancy of the canonical pose, `[H, W]`; differentiable, colours left out."""
-    cloud = avatar.canonical(camera.centre)
-    return _alpha(avatar, cloud.means, cloud.covariances, camera, backend)
+    def draw(
+        self,
+        cloud: Cloud,
+        camera: Camera,
+        *,
+        background: Tensor | None = None,
+        crop: Box | None = None,
+        screen_offsets: Tensor | None = None,
+    ) -> Rendering:
+        """Returns the picture of posed Gaussians; arguments as in `splat.rasterize`.
 
+        Args:
+            cloud: drawn with its own dilation.
+            camera: on any device.
+            background: `[3]`; black when None.
+            crop: window `(x, y, width, height)` to compute; the whole picture when None.
+            screen_offsets: `[N, 2]` pixels, added to the projected centres.
+        """
+        device = cloud.means.device
+        camera = camera.to(device)
+        return rasterize(
+            cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,
+            camera.width, camera.height, background=background, covariances=cloud.covariances,
+            backend=fitting_backend(self.backend, device), crop=crop, screen_offsets=screen_offsets,
+            limits=Limits(dilation=cloud.dilation),
+        )  # fmt: skip
 
-@torch.no_grad()
-def outline(avatar: Avatar, frame: Frame, backend: str) -> torch.Tensor:
-    """Returns what an avatar covers by more than half in a frame's pose and camera, bool `[H, W]`; colours left out."""
-    carried = avatar.deform(frame.pose.to(avatar.gaussians.means.device))
-    return _alpha(avatar, carried.means, carried.covariances, frame.camera, backend) > 0.5
+    @torch.inference_mode()
+    def frame(self, avatar: Avatar, frame: Frame) -> Rendering:
+        """Returns the avatar in a frame's pose as that frame's camera sees it, over black; no gradients."""
+        device = avatar.gaussians.means.device
+        camera = frame.camera.to(device)
+        return self.draw(avatar(frame.pose.to(device), camera.centre), camera)
 
+    def canonical_alpha(self, avatar: Avatar, camera: Camera) -> Tensor:
+        """Returns the occupancy of the canonical pose, `[H, W]`; differentiable, colours left out."""
+        cloud = avatar.canonical(camera.centre)
+        return self._alpha(avatar, cloud.means, cloud.covariances, camera)
 
-def _alpha(
-    avatar: Avatar, means: torch.Tensor, covariances: torch.Tensor, camera: Camera, backend: str
-) -> torch.Tensor:
-    camera, backend = camera.to(means.device), fitting_backend(backend, means.device)
-    return rasterize(
-        means, None, None, avatar.gaussians.opacities, torch.zeros_like(means), camera.viewmat, camera.K,
-        camera.width, camera.height, covariances=covariances, backend=backend,
-        limits=Limits(dilation=avatar.dilation),
-    ).alpha  # fmt: skip
+    @torch.no_grad()
+    def outline(self, avatar: Avatar, frame: Frame) -> Tensor:
+        """Returns what an avatar covers by more than half in a frame's pose and camera, bool `[H, W]`."""
+        pose = frame.pose.to(avatar.gaussians.means.device)
+        means, covariances, _ = avatar.deform(pose)
+        return self._alpha(avatar, means, covariances, frame.camera) > 0.5
 
+    def _alpha(self, avatar: Avatar, means: Tensor, covariances: Tensor, camera: Camera) -> Tensor:
+        black = torch.zeros_like(means)
+        cloud = Cloud(means, covariances, avatar.gaussians.opacities, black, avatar.dilation)
+        return self.draw(cloud, camera).alpha
 
-@torch.inference_mode()
-def render_frame(avatar: Avatar, frame: Frame, backend: str) -> Rendering:
-    """Returns the avatar in a frame's pose as that frame's camera sees it, over black; no gradients."""
-    device = avatar.gaussians.means.device
-    camera = frame.camera.to(device)
-    return render_cloud(avatar(frame.pose.to(device), camera.centre), camera, backend)
+    def warm_up(self) -> float:
+        """Draws a tiny picture forwards and backwards; returns the seconds that it took.
+
+        After this no call in float32 compiles anything: `numba` needs about ten seconds where its cache is empty and
+        one where it is not, `gsplat` builds or loads its extension.
+        """
+        started = time.monotonic()
+        with torch.inference_mode(False), torch.enable_grad():
+            means = torch.tensor([[0.0, 0.0, 1.0]], device=self.device, requires_grad=True)
+            colors = torch.ones(1, 3, device=self.device, requires_grad=True)
+            middle = WARM_UP_SIZE / 2
+            K = torch.tensor([[2 * middle, 0.0, middle], [0.0, 2 * middle, middle], [0.0, 0.0, 1.0]])
+            camera = Camera(torch.eye(4), K, WARM_UP_SIZE, WARM_UP_SIZE)
+            covariances = 0.01 * torch.eye(3, device=self.device)[None]
+            opacities = torch.ones(1, device=self.device)
+            # what a stage learns; and colours alone, by which those that the video shows are gathered at the start
+            for centres, shades in ((means, colors.detach()), (means.detach(), colors)):
+                drawn = self.draw(Cloud(centres, covariances, opacities, shades, Limits.dilation), camera)
+                (drawn.rgb.sum() + drawn.alpha.sum()).backward()
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        return time.monotonic() - started

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from occfusion.geometry.neighbours import nearest
 from occfusion.human.avatar import Avatar
-from occfusion.splat import Limits, fitting_backend, rasterize
+from occfusion.human.rendering import Renderer
 from occfusion.splat.harmonics import SH_C0
-from occfusion.types import Frame
+from occfusion.types import Cloud, Frame
 
 ENOUGH = 4.0
 """Pixels, summed over frames, from which on a Gaussian's own colour counts more than that of its neighbours.
@@ -44,7 +44,7 @@ class Accumulated:
 
 
 def accumulate(
-    avatar: Avatar, frames: Iterable[Frame], backend: str, opacity: float | None = None
+    avatar: Avatar, frames: Iterable[Frame], renderer: Renderer, opacity: float | None = None
 ) -> Accumulated:
     """Returns the colours that the visible pixels of `frames` show of the avatar's Gaussians.
 
@@ -55,13 +55,12 @@ def accumulate(
     Args:
         avatar: posed for each frame; not changed.
         frames: with their visible masks.
-        backend: rasteriser backend.
+        renderer: draws the avatar.
         opacity: of all Gaussians, where the avatar has not learned its own yet; None: its own.
     """
     count = avatar.gaussians.num_gaussians
     means = avatar.gaussians.means.detach()
     weights, sums = means.new_zeros(count), means.new_zeros(count, 3)
-    backend = fitting_backend(backend, means.device)
     for frame in frames:
         with torch.no_grad():
             carried = avatar.deform(frame.pose.to(means.device))
@@ -69,11 +68,8 @@ def accumulate(
             if opacity is not None:
                 opacities = torch.full_like(opacities, opacity)
         colors = torch.zeros_like(carried.means).requires_grad_()
-        camera = frame.camera.to(means.device)
-        rgb = rasterize(
-            carried.means, None, None, opacities, colors, camera.viewmat, camera.K, camera.width, camera.height,
-            covariances=carried.covariances, backend=backend, limits=Limits(dilation=avatar.dilation),
-        ).rgb  # fmt: skip
+        cloud = Cloud(carried.means, carried.covariances, opacities, colors, avatar.dilation)
+        rgb = renderer.draw(cloud, frame.camera).rgb
         shown = frame.visible_mask[..., None].to(rgb).expand_as(rgb)
         (seen,) = torch.autograd.grad(rgb, colors, shown, retain_graph=True)
         (observed,) = torch.autograd.grad(rgb, colors, shown * frame.rgb.to(rgb))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from occfusion.errors import NumericsError
 from occfusion.human.avatar import Avatar
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.observation.frames import Observation
-from occfusion.splat import Limits, fitting_backend, rasterize
 from occfusion.types import Frame
 
 Picture = NDArray[np.float32]
@@ -75,18 +75,15 @@ class Inpainter(ABC):
 
 @torch.no_grad()
 def take_partial(
-    avatar: Avatar, accumulated: Accumulated, frame: Frame, observation: Observation, backend: str
+    avatar: Avatar, accumulated: Accumulated, frame: Frame, observation: Observation, renderer: Renderer
 ) -> Partial:
     """Returns a frame with the avatar rendered in its pose: in its own colours and in those of the video."""
     device = avatar.gaussians.means.device
-    camera, backend = frame.camera.to(device), fitting_backend(backend, device)
+    camera = frame.camera.to(device)
     cloud = avatar(frame.pose.to(device), camera.centre)
 
     def render(colors: torch.Tensor) -> tuple[Picture, Picture]:
-        made = rasterize(
-            cloud.means, None, None, cloud.opacities, colors, camera.viewmat, camera.K, camera.width,
-            camera.height, covariances=cloud.covariances, backend=backend, limits=Limits(dilation=cloud.dilation),
-        )  # fmt: skip
+        made = renderer.draw(replace(cloud, colors=colors), camera)
         return made.rgb.clamp(0.0, 1.0).cpu().numpy(), made.alpha.cpu().numpy()
 
     coarse, alpha = render(cloud.colors)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.human.avatar import Avatar
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import accumulate, paint_unseen
 from occfusion.inpaint.appearance_net import (
     ALPHA,
@@ -47,7 +48,7 @@ class Example:
 
 
 def make_examples(
-    avatar: Avatar, frames: Sequence[Frame], moments: Sequence[Moment], backend: str
+    avatar: Avatar, frames: Sequence[Frame], moments: Sequence[Moment], renderer: Renderer
 ) -> Iterator[Example]:
     """Yields an example for each occluded frame, whose truth must be known.
 
@@ -56,16 +57,16 @@ def make_examples(
             nearby, as the refinement does before it asks for references.
         frames: all training frames, with the complete masks that the avatar was trained with.
         moments: of the same frames.
-        backend: rasteriser backend.
+        renderer: draws the avatar.
     """
-    accumulated = accumulate(avatar, frames, backend)
+    accumulated = accumulate(avatar, frames, renderer)
     paint_unseen(avatar, accumulated)
     for frame, moment in zip(frames, moments, strict=True):
         if not moment.evidence.occluded:
             continue
         assert frame.truth is not None
         observation = moment.observation(frame, avatar.body)
-        square, planes = take_planes(take_partial(avatar, accumulated, frame, observation, backend))
+        square, planes = take_planes(take_partial(avatar, accumulated, frame, observation, renderer))
         planes[DEPTH] = 0.5 * (planes[DEPTH] + 1.0)
         mask = frame.truth.mask.numpy().astype(np.float32)[..., None]
         truth = take_picture(square, np.concatenate([frame.truth.rgb.numpy(), mask], axis=-1))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.appearance_net import (
     APPEARANCE,
     COARSE,
@@ -81,13 +82,13 @@ class Coarse:
         avatar: of the end of the optimisation stage.
         frames: all training frames, with truth and complete masks.
         moments: of the same frames.
-        backend: rasteriser backend that it was trained with.
+        renderer: that it was trained with.
     """
 
     avatar: Avatar
     frames: Sequence[Frame]
     moments: Sequence[Moment]
-    backend: str
+    renderer: Renderer
 
 
 TrainCoarse = Callable[[CoarseScene, Path], Coarse]
@@ -146,7 +147,7 @@ class AppearanceRecipe(Recipe[AppearanceNet]):
             marker = shard / "shard.json"
             if not (marker.is_file() and json.loads(marker.read_text()) == identity):
                 coarse = self._train(scene, self.folder / "runs" / scene.scene)
-                examples = list(make_examples(coarse.avatar, coarse.frames, coarse.moments, coarse.backend))
+                examples = list(make_examples(coarse.avatar, coarse.frames, coarse.moments, coarse.renderer))
                 shard.mkdir(parents=True, exist_ok=True)
                 for name in ("planes", "truth", "mask"):
                     np.save(shard / f"{name}.npy", np.stack([getattr(example, name) for example in examples]))

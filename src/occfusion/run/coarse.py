@@ -52,4 +52,4 @@ def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse
     run_stages(run_)
     positions = range(len(run_.data.train_indices))
     frames = [run_.data.train_frame(k, complete="init" in run_.plan.stages) for k in positions]
-    return Coarse(run_.avatar.eval(), frames, run_.moments, run_.backend)
+    return Coarse(run_.avatar.eval(), frames, run_.moments, run_.renderer)

@@ -14,7 +14,7 @@ from occfusion.data.module import HumanDataModule
 from occfusion.data.registered import SceneRegistration
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline
-from occfusion.human.rendering import render_frame
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.observation.frames import Moment
 from occfusion.observation.key_light import KeyLight, find_key_light
@@ -26,7 +26,6 @@ from occfusion.run.compose import make_body, make_data
 from occfusion.run.folder import claim_run_folder
 from occfusion.run.masks import look_at_training_frames
 from occfusion.settings.schema import Settings
-from occfusion.splat import resolve_backend
 from occfusion.types import Frame, Rendering
 
 
@@ -41,7 +40,7 @@ class Run:
         data: the training and held-out frames.
         avatar: as far as it is trained.
         perceptual: the perceptual metric, None where neither training nor evaluation asks for it.
-        backend: of the rasteriser.
+        renderer: draws avatars.
         moments: what masks and poses say of the training frames; None where nothing depends on it.
         data_hash: of all that is read.
     """
@@ -52,7 +51,7 @@ class Run:
     data: HumanDataModule
     avatar: Avatar
     perceptual: PerceptualMetric | None
-    backend: str
+    renderer: Renderer
     moments: list[Moment] | None
     data_hash: str
 
@@ -64,7 +63,7 @@ class Run:
 
     def render(self, frame: Frame) -> Rendering:
         """Returns the avatar as the frame's camera sees it."""
-        return render_frame(self.avatar, frame, self.backend)
+        return self.renderer.frame(self.avatar, frame)
 
 
 @dataclass(frozen=True)
@@ -95,11 +94,11 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
     data.validate()
     observed = observe(settings, data, body)
     device = device_of(settings)
-    backend = resolve_backend(settings.rasterizer.name, device, torch.float32)
+    renderer = Renderer(settings.rasterizer.name, device)
     plan = make_plan(
         settings,
         observed.summary,
-        backend,
+        renderer.backend,
         observed.moments,
         observed.key_light,
         observed.registered,
@@ -128,7 +127,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         data=data,
         avatar=_make_avatar(plan.settings, data, body, observed.key_light),
         perceptual=perceptual,
-        backend=backend,
+        renderer=renderer,
         moments=observed.moments,
         data_hash=observed.summary["hash"],
     )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.human import Avatar
-from occfusion.human.rendering import outline
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import accumulate, paint_unseen
 from occfusion.inpaint.build_inpainter import make_inpainter
 from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
@@ -36,7 +36,7 @@ def make_references(
     avatar: Avatar,
     moments: Sequence[Moment],
     identity: dict[str, str],
-    backend: str,
+    renderer: Renderer,
     device: torch.device,
 ) -> tuple[References, float]:
     """Writes the references of a run into `inpainted/`; returns them and the seconds that it took.
@@ -48,7 +48,7 @@ def make_references(
         avatar: the coarse avatar; what no frame shows of it is given the colours of what is seen nearby.
         moments: of all training frames.
         identity: what the references depend on besides the inpainter: hashes of data and avatar.
-        backend: rasteriser backend.
+        renderer: draws the avatar.
         device: where the inpainter runs.
 
     Raises:
@@ -64,9 +64,9 @@ def make_references(
 
     inpainter = _make_inpainter(settings, data, device)
     place, gen_pixels = folder / FOLDER, settings.refine.gen_pixels
-    stage = InpaintStage(inpainter, avatar.eval(), moments, place, identity, backend, gen_pixels)
+    stage = InpaintStage(inpainter, avatar.eval(), moments, place, identity, renderer, gen_pixels)
     frames = (data.train_frame(k, truth=False) for k in range(len(moments)))
-    stage.accumulated = accumulate(avatar, frames, backend)
+    stage.accumulated = accumulate(avatar, frames, renderer)
     paint_unseen(avatar, stage.accumulated)
     wanted = stage.wanted
     if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
@@ -80,10 +80,10 @@ def make_references(
     return stage.references, seconds
 
 
-def own_outlines(avatar: Avatar, frames: Iterable[Frame], backend: str) -> dict[int, NDArray[np.bool_]]:
+def own_outlines(avatar: Avatar, frames: Iterable[Frame], renderer: Renderer) -> dict[int, NDArray[np.bool_]]:
     """Returns what an avatar covers by more than half in each frame, by its number, bool `[H, W]`."""
     avatar.eval()
-    return {frame.index: outline(avatar, frame, backend).cpu().numpy() for frame in frames}
+    return {frame.index: renderer.outline(avatar, frame).cpu().numpy() for frame in frames}
 
 
 def file_digest(path: Path) -> str:

@@ -25,7 +25,6 @@ from occfusion.run.sharing import offer, shared_folder, sole_maker, take
 from occfusion.run.start import start_as_observed
 from occfusion.settings.schema import Settings, optim_hash
 from occfusion.settings.stages import AvatarSettings
-from occfusion.splat import warm_up
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.curve import ErrorCurve
@@ -131,7 +130,7 @@ def _train_stage(run_: Run, name: str) -> None:
     own: AvatarSettings = getattr(settings, name)
     trainer = _trainer(settings, own.steps, callbacks, logs)
     if name == "optim" and settings.optim.observed_colors and checkpoint is None:
-        stage.clock.restore(start_as_observed(run_.avatar, run_.data, run_.backend))
+        stage.clock.restore(start_as_observed(run_.avatar, run_.data, run_.renderer))
     run_.avatar.train()
     with guard:
         trainer.fit(stage, datamodule=run_.data, ckpt_path=checkpoint, weights_only=True)
@@ -150,7 +149,7 @@ def _optim_stage(run_: Run) -> tuple[AvatarStage, float]:
         densifier=_make_densifier(settings.optim, settings.optim.lambda_rgb),
         distiller=_make_distiller(run_),
         doubts=_doubts(run_),
-        backend=run_.backend,
+        renderer=run_.renderer,
         seed=settings.seed,
     )
     return stage, 0.0
@@ -177,14 +176,14 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
         run_.avatar,
         run_.moments,
         identity,
-        run_.backend,
+        run_.renderer,
         device_of(settings),
     )
     doubts = _doubts(run_)
     doubtful = [k for k, moment in enumerate(run_.moments) if moment.frame in doubts.hidden]
     frames = (run_.data.train_frame(k, truth=False) for k in doubtful)
     is_held = refine.mask_target == "outline" and refine.mask_hidden > 0
-    outlines = own_outlines(run_.avatar, frames, run_.backend) if is_held else {}
+    outlines = own_outlines(run_.avatar, frames, run_.renderer) if is_held else {}
     run_.avatar.gaussians.allocate_bands(planning.refined_sh_degree(settings))
     stage = RefineStage(
         run_.avatar,
@@ -194,7 +193,7 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
         outlines,
         perceptual=run_.training_metric if refine.lambda_lpips else None,
         densifier=_make_densifier(refine, refine.lambda_rgb),
-        backend=run_.backend,
+        renderer=run_.renderer,
         seed=settings.seed,
         steps_before=planning.steps_of(settings, settings.optim),
     )
@@ -204,7 +203,7 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
 def _warm_up(run_: Run, stage: str) -> None:
     """Compiles what the first step would wait for, so that the first run on a machine trains no longer than others."""
     started = time.perf_counter()
-    warm_up(run_.backend, device_of(run_.settings))
+    run_.renderer.warm_up()
     metric = run_.training_metric
     weight: float = getattr(run_.plan.settings, stage).lambda_lpips
     if metric is not None and weight > 0:
@@ -212,7 +211,7 @@ def _warm_up(run_: Run, stage: str) -> None:
     seconds = time.perf_counter() - started
     if seconds >= WARM_UP_SAID:
         print(
-            f"{stage}: rasteriser {run_.backend} ready after {seconds:.1f} s, before the training clock starts"
+            f"{stage}: rasteriser {run_.renderer.backend} ready after {seconds:.1f} s, before the training clock starts"
         )
 
 
@@ -233,7 +232,7 @@ def _make_distiller(run_: Run) -> Distiller[Any] | None:
         steps=settings.optim.steps,
         moments=run_.moments,
         body=run_.avatar.body,
-        backend=run_.backend,
+        renderer=run_.renderer,
         seed=settings.seed,
     )
 

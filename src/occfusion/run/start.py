@@ -7,6 +7,7 @@ import time
 from occfusion.data.module import HumanDataModule
 from occfusion.data.sampling import spread
 from occfusion.human import Avatar
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import accumulate, paint_observed
 
 FRAMES = 200
@@ -15,7 +16,7 @@ OPACITY = 0.95
 """Of discs on the body that are to hide what lies behind them."""
 
 
-def start_as_observed(avatar: Avatar, data: HumanDataModule, backend: str) -> float:
+def start_as_observed(avatar: Avatar, data: HumanDataModule, renderer: Renderer) -> float:
     """Gives the Gaussians of a body the colours that the video shows there; returns the seconds that it took.
 
     Those that hardly any frame shows get the colours of what is seen nearby. Begun grey, they would stay it, and
@@ -24,9 +25,9 @@ def start_as_observed(avatar: Avatar, data: HumanDataModule, backend: str) -> fl
     Args:
         avatar: before training, its Gaussians on the body; changed in place.
         data: whose training frames.
-        backend: rasteriser backend.
+        renderer: draws the avatar.
     """
     started = time.monotonic()
     frames = (data.train_frame(k, truth=False) for k in spread(len(data.train_indices), FRAMES))
-    paint_observed(avatar, accumulate(avatar.eval(), frames, backend, OPACITY))
+    paint_observed(avatar, accumulate(avatar.eval(), frames, renderer, OPACITY))
     return time.monotonic() - started

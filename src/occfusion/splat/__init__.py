@@ -3,6 +3,5 @@
 from occfusion.splat.backends.registry import fitting_backend, resolve_backend
 from occfusion.splat.limits import Limits
 from occfusion.splat.rasterize import rasterize
-from occfusion.splat.warm_up import warm_up
 
-__all__ = ["Limits", "fitting_backend", "rasterize", "resolve_backend", "warm_up"]
+__all__ = ["Limits", "fitting_backend", "rasterize", "resolve_backend"]

@@ -13,9 +13,9 @@ from occfusion.geometry.boxes import person_box
 from occfusion.human.avatar import Avatar
 from occfusion.human.densify import Densifier
 from occfusion.human.gaussians import means_rate
+from occfusion.human.rendering import Renderer
 from occfusion.perceptual import PerceptualMetric, random_crop_box
 from occfusion.settings.stages import AvatarSettings
-from occfusion.splat import Limits, rasterize
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
 from occfusion.types import Box, Camera, Frame, Rendering
 
@@ -35,7 +35,7 @@ class AvatarStage(Stage):
         settings: schedules and rates.
         perceptual: the perceptual metric; None exactly when its term has no weight.
         densifier: densification; None exactly when `settings.densify` is false.
-        backend: rasteriser backend.
+        renderer: draws the avatar.
         seed: decides the perceptual crops, step by step.
         steps_before: of earlier stages: rates and SH bands follow the count of all steps, densification its own.
     """
@@ -47,7 +47,7 @@ class AvatarStage(Stage):
         *,
         perceptual: PerceptualMetric | None,
         densifier: Densifier | None,
-        backend: str,
+        renderer: Renderer,
         seed: int,
         steps_before: int = 0,
     ) -> None:
@@ -57,7 +57,7 @@ class AvatarStage(Stage):
         # wrapped in a tuple so that the frozen network is not part of this module's state
         self._perceptual = (perceptual,)
         self.densifier = densifier
-        self.backend = backend
+        self._renderer = renderer
         self.seed = seed
         self.steps_before = steps_before
         self._frame_name = ""
@@ -113,11 +113,7 @@ class AvatarStage(Stage):
         box = person_box(cloud.means.detach(), shown, camera, BOX_PADDING)
         if self.densifier is not None:
             self._screen_offsets = torch.zeros_like(cloud.means[:, :2], requires_grad=True)
-        rendering = rasterize(
-            cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,
-            camera.width, camera.height, covariances=cloud.covariances, backend=self.backend,
-            crop=box, screen_offsets=self._screen_offsets, limits=Limits(dilation=cloud.dilation),
-        )  # fmt: skip
+        rendering = self._renderer.draw(cloud, camera, crop=box, screen_offsets=self._screen_offsets)
         self._radii, self._camera = rendering.radii, camera
         return rendering, box
 

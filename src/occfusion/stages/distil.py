@@ -15,7 +15,7 @@ from occfusion.errors import NumericsError
 from occfusion.geometry.resample import take_square
 from occfusion.human.avatar import Avatar
 from occfusion.human.body import Body
-from occfusion.human.rendering import canonical_alpha
+from occfusion.human.rendering import Renderer
 from occfusion.observation.crop import CANONICAL_ANGLES, PersonView, Square, view_canonical, view_observation
 from occfusion.observation.frames import Moment
 from occfusion.priors.distillation import time_at
@@ -57,7 +57,7 @@ class Distiller(Generic[T]):
         steps: of the stage, for the annealed schedule.
         moments: of all training frames.
         body: of the data set.
-        backend: rasteriser backend.
+        renderer: draws the avatar.
         seed: of the choices.
     """
 
@@ -69,14 +69,14 @@ class Distiller(Generic[T]):
         steps: int,
         moments: Sequence[Moment],
         body: Body,
-        backend: str,
+        renderer: Renderer,
         seed: int,
     ) -> None:
         self.prior = prior
         self.settings = settings
         self.steps = steps
         self.body = body
-        self.backend = backend
+        self._renderer = renderer
         self.seed = seed
         self._moments = {moment.frame: moment for moment in moments}
         self._views: OrderedDict[Hashable, _Prepared[T]] = OrderedDict()
@@ -110,7 +110,7 @@ class Distiller(Generic[T]):
             square = view.square
             seen = take_square(alpha, box, square.x, square.y, square.side, self.prior.size)
         else:
-            seen = canonical_alpha(avatar, view.camera, self.backend)
+            seen = self._renderer.canonical_alpha(avatar, view.camera)
         where = (
             f"frame {frame.name}"
             if is_posed

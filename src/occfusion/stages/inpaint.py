@@ -11,6 +11,7 @@ import torch
 
 from occfusion.files.atomic import write_png
 from occfusion.human.avatar import Avatar
+from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.partial import Inpainter, checked_picture, take_partial
 from occfusion.observation.frames import Moment
@@ -31,7 +32,7 @@ class InpaintStage(FramewiseStage):
         moments: of all training frames, in order.
         folder: where pictures, regions and the manifest go.
         identity: what the pictures depend on besides the inpainter: hashes of data and avatar.
-        backend: rasteriser backend.
+        renderer: draws the avatar.
         gen_pixels: where the pictures count: `unseen` or `hidden`; see `RefineSettings`.
 
     Attributes:
@@ -47,7 +48,7 @@ class InpaintStage(FramewiseStage):
         moments: Sequence[Moment],
         folder: Path,
         identity: dict[str, Any],
-        backend: str,
+        renderer: Renderer,
         gen_pixels: str,
     ) -> None:
         super().__init__(
@@ -57,7 +58,7 @@ class InpaintStage(FramewiseStage):
         # wrapped in tuples so that neither is part of this module's state
         self._inpainter, self._avatar = (inpainter,), (avatar,)
         self.moments = moments
-        self.backend = backend
+        self._renderer = renderer
         self._positions = {moment.frame: k for k, moment in enumerate(moments)}
         self.accumulated: Accumulated | None = None
 
@@ -88,7 +89,7 @@ class InpaintStage(FramewiseStage):
         avatar, moment = self._avatar[0], self.moments[self._positions[frame.index]]
         assert self.accumulated is not None  # set by whoever starts the stage, once it is known to be needed
         observation = moment.observation(frame, avatar.body)
-        partial = take_partial(avatar, self.accumulated, frame, observation, self.backend)
+        partial = take_partial(avatar, self.accumulated, frame, observation, self._renderer)
         picture, painted = checked_picture(self._inpainter[0], partial), partial.region
         region = partial.unseen if self._gen_pixels == "unseen" else painted
         (self.folder / REGIONS).mkdir(parents=True, exist_ok=True)

@@ -9,6 +9,7 @@ from torch import Tensor, ones_like
 from occfusion.geometry.boxes import crop
 from occfusion.human.avatar import Avatar
 from occfusion.human.densify import Densifier
+from occfusion.human.rendering import Renderer
 from occfusion.perceptual import PerceptualMetric
 from occfusion.quality import losses
 from occfusion.settings.stages import OptimSettings
@@ -30,7 +31,7 @@ class OptimStage(AvatarStage):
         densifier: densification; None exactly when `settings.densify` is false.
         distiller: score distillation; None where none of its terms has a weight.
         doubts: where complete masks may be wrong; asked only where `settings.mask_hidden` is not 1.
-        backend: rasteriser backend.
+        renderer: draws the avatar.
         seed: decides the perceptual crops, step by step.
     """
 
@@ -45,11 +46,11 @@ class OptimStage(AvatarStage):
         densifier: Densifier | None,
         distiller: Distiller[Any] | None = None,
         doubts: Doubts | None = None,
-        backend: str,
+        renderer: Renderer,
         seed: int,
     ) -> None:
         super().__init__(
-            avatar, settings, perceptual=perceptual, densifier=densifier, backend=backend, seed=seed
+            avatar, settings, perceptual=perceptual, densifier=densifier, renderer=renderer, seed=seed
         )
         self.settings = settings
         self.distiller = distiller

@@ -7,6 +7,7 @@ from torch import Tensor
 from occfusion.geometry.boxes import crop
 from occfusion.human.avatar import Avatar
 from occfusion.human.densify import Densifier
+from occfusion.human.rendering import Renderer
 from occfusion.perceptual import PerceptualMetric
 from occfusion.quality import losses
 from occfusion.settings.stages import RefineSettings
@@ -28,7 +29,7 @@ class RefineStage(AvatarStage):
             asked; empty: to complete masks.
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
         densifier: densification; None exactly when `settings.densify` is false.
-        backend: rasteriser backend.
+        renderer: draws the avatar.
         seed: decides the perceptual crops, step by step.
         steps_before: of the optimisation stage.
     """
@@ -45,12 +46,12 @@ class RefineStage(AvatarStage):
         *,
         perceptual: PerceptualMetric | None,
         densifier: Densifier | None,
-        backend: str,
+        renderer: Renderer,
         seed: int,
         steps_before: int,
     ) -> None:
         super().__init__(
-            avatar, settings, perceptual=perceptual, densifier=densifier, backend=backend, seed=seed,
+            avatar, settings, perceptual=perceptual, densifier=densifier, renderer=renderer, seed=seed,
             steps_before=steps_before,
         )  # fmt: skip
         self.settings = settings
