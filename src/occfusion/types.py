@@ -58,7 +58,7 @@ class Pose:
         global_orient: root rotation as axis-angle, `[3]`, radians.
         body_pose: the other 23 joints as axis-angles, `[69]`, radians.
         transl: translation, `[3]`, metres.
-        moment: number of the frame in the sequence that an avatar learns from, which corrections of that frame
+        frame_index: number of the frame in the sequence that an avatar learns from, which corrections of that frame
             go by; None for any other pose.
     """
 
@@ -66,13 +66,13 @@ class Pose:
     global_orient: Tensor
     body_pose: Tensor
     transl: Tensor
-    moment: int | None = None
+    frame_index: int | None = None
 
     def to(self, device: torch.device | str) -> Pose:
         """Returns the pose with its tensors on `device`."""
         parts = (self.betas, self.global_orient, self.body_pose, self.transl)
         betas, global_orient, body_pose, transl = (part.to(device) for part in parts)
-        return Pose(betas, global_orient, body_pose, transl, self.moment)
+        return Pose(betas, global_orient, body_pose, transl, self.frame_index)
 
 
 @dataclass(frozen=True)

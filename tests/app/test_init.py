@@ -13,7 +13,7 @@ from occfusion.data.zju import ZjuDataModule
 from occfusion.errors import DataError, NumericsError
 from occfusion.files.images import read_mask
 from occfusion.human import Body, load_body
-from occfusion.observation.frames import Moment, Observation, look
+from occfusion.observation.frames import Observation, ObservedFrame, observe_frames
 from occfusion.priors.calibration import STILL, Calibration, calibrate, measure_thickness
 from occfusion.priors.embedded.network_file import save_net
 from occfusion.priors.embedded.silhouette_net import SILHOUETTE, load_silhouette_net
@@ -52,21 +52,21 @@ def data(scene_root: Path, body: Body) -> ZjuDataModule:
 
 
 @pytest.fixture(scope="module")
-def moments(data: ZjuDataModule, body: Body) -> list[Moment]:
-    return look((data.train_frame(k, truth=False) for k in range(len(data.train_indices))), body)
+def observed_frames(data: ZjuDataModule, body: Body) -> list[ObservedFrame]:
+    return observe_frames((data.train_frame(k, truth=False) for k in range(len(data.train_indices))), body)
 
 
 Make = Callable[..., InitStage]
 
 
 @pytest.fixture
-def make(data: ZjuDataModule, body: Body, moments: list[Moment], tmp_path: Path) -> Make:
+def make(data: ZjuDataModule, body: Body, observed_frames: list[ObservedFrame], tmp_path: Path) -> Make:
     def stage(prior: MaskPrior, **settings: Any) -> InitStage:
         def read(k: int) -> Frame:
             return data.train_frame(k, truth=False)
 
         return InitStage(
-            prior, body, moments, read, InitSettings(**settings), tmp_path / "masks", {"data": "x"}
+            prior, body, observed_frames, read, InitSettings(**settings), tmp_path / "masks", {"data": "x"}
         )
 
     return stage
@@ -79,35 +79,37 @@ def run(stage: InitStage, data: ZjuDataModule) -> None:
 
 
 def test_occluded_frames_are_completed_and_the_others_passed_through(
-    make: Make, data: ZjuDataModule, moments: list[Moment]
+    make: Make, data: ZjuDataModule, observed_frames: list[ObservedFrame]
 ) -> None:
     prior = CountingPrior(0.9)
     stage = make(prior, smoothing=0.0)
     run(stage, data)
-    occluded = [moment.evidence.occluded for moment in moments]
+    occluded = [observed_frame.evidence.occluded for observed_frame in observed_frames]
     assert any(occluded)
     assert not all(occluded)
     assert prior.asked == sum(occluded)
-    for position, moment in enumerate(moments):
+    for position, observed_frame in enumerate(observed_frames):
         frame = data.train_frame(position)
-        mask = read_mask(mask_path(stage.folder, moment.frame))
+        mask = read_mask(mask_path(stage.folder, observed_frame.index))
         visible = frame.visible_mask.numpy()
         assert not (visible & ~mask).any()
-        assert not (mask & moment.evidence.background).any()
-        if not moment.evidence.occluded:
+        assert not (mask & observed_frame.evidence.background).any()
+        if not observed_frame.evidence.occluded:
             assert (mask == visible).all()
         assert (
-            stage.folder / "uncertainty" / f"{moment.frame:06d}.png"
-        ).is_file() is moment.evidence.occluded
+            stage.folder / "uncertainty" / f"{observed_frame.index:06d}.png"
+        ).is_file() is observed_frame.evidence.occluded
 
 
-def test_the_strip_of_the_first_frames_is_what_is_found(data: ZjuDataModule, moments: list[Moment]) -> None:
+def test_the_strip_of_the_first_frames_is_what_is_found(
+    data: ZjuDataModule, observed_frames: list[ObservedFrame]
+) -> None:
     shares = [float((~f.visible_mask & f.truth.mask).sum() / f.truth.mask.sum()) for f in data.train_frames()]
-    for share, moment in zip(shares, moments, strict=True):
+    for share, observed_frame in zip(shares, observed_frames, strict=True):
         if share == 0.0:
-            assert not moment.evidence.occluded
+            assert not observed_frame.evidence.occluded
         if share > 0.15:
-            assert moment.evidence.occluded
+            assert observed_frame.evidence.occluded
 
 
 def test_an_interrupted_run_continues_and_other_settings_begin_anew(make: Make, data: ZjuDataModule) -> None:
@@ -115,7 +117,7 @@ def test_an_interrupted_run_continues_and_other_settings_begin_anew(make: Make, 
     stage = make(prior, smoothing=0.0)
     run(stage, data)
     first = prior.asked
-    removed = mask_path(stage.folder, next(m.frame for m in stage.moments if m.evidence.occluded))
+    removed = mask_path(stage.folder, next(m.index for m in stage.observed_frames if m.evidence.occluded))
     removed.unlink()
     again = make(prior, smoothing=0.0)
     assert len(again.wanted) == 1
@@ -123,13 +125,13 @@ def test_an_interrupted_run_continues_and_other_settings_begin_anew(make: Make, 
     assert prior.asked == first + 1
     assert removed.is_file()
     assert make(prior, smoothing=0.0).wanted == []
-    assert len(make(prior, smoothing=0.5).wanted) == len(stage.moments)
-    assert len(make(CountingPrior(0.4), smoothing=0.0).wanted) == len(stage.moments)
+    assert len(make(prior, smoothing=0.5).wanted) == len(stage.observed_frames)
+    assert len(make(CountingPrior(0.4), smoothing=0.0).wanted) == len(stage.observed_frames)
 
 
 def test_nan_stops_with_the_prior_and_the_frame_named(make: Make, data: ZjuDataModule) -> None:
     stage = make(CountingPrior(float("nan")), smoothing=0.0)
-    position = next(k for k, m in enumerate(stage.moments) if m.evidence.occluded)
+    position = next(k for k, m in enumerate(stage.observed_frames) if m.evidence.occluded)
     frame = data.train_frame(position, truth=False)
     with pytest.raises(NumericsError, match=rf"prior counting, frame {frame.name}.*not finite"):
         stage.predict_step(frame, 0)
@@ -140,7 +142,7 @@ def test_a_body_outside_the_picture_is_named(data: ZjuDataModule, body: Body) ->
     frame = data.train_frame(0, truth=False)
     pose = type(frame.pose)(**{**vars(frame.pose), "transl": frame.pose.transl + 100.0})
     with pytest.raises(DataError, match=f"{frame.name}.*outside the picture"):
-        look([type(frame)(**{**vars(frame), "pose": pose})], body)
+        observe_frames([type(frame)(**{**vars(frame), "pose": pose})], body)
 
 
 def test_a_frame_with_everything_hidden_is_completed_and_counted(
@@ -148,8 +150,10 @@ def test_a_frame_with_everything_hidden_is_completed_and_counted(
 ) -> None:
     frame = data.train_frame(0, truth=False)
     nothing = type(frame)(**{**vars(frame), "visible_mask": torch.zeros_like(frame.visible_mask)})
-    moments = look([nothing], body)
-    stage = InitStage(CountingPrior(0.9), body, moments, lambda _: nothing, InitSettings(), tmp_path, {})
+    observed_frames = observe_frames([nothing], body)
+    stage = InitStage(
+        CountingPrior(0.9), body, observed_frames, lambda _: nothing, InitSettings(), tmp_path, {}
+    )
     record = stage.predict_step(nothing, 0)
     assert record["status"] == "completed, nothing seen"
     assert record["hidden_share"] > 0.7
@@ -164,7 +168,7 @@ def test_manifest_says_with_what(make: Make, data: ZjuDataModule) -> None:
     assert content["identity"]["prior"] == "counting"
     assert content["identity"]["data"] == "x"
     assert content["calibration"]["weights"] == [1.0, 0.0, 0.0]
-    assert set(content["frames"]) == {f"{m.frame:06d}" for m in stage.moments}
+    assert set(content["frames"]) == {f"{m.index:06d}" for m in stage.observed_frames}
     assert 0.0 < content["consistency"] <= 1.0
 
 
@@ -172,9 +176,9 @@ def test_manifest_says_with_what(make: Make, data: ZjuDataModule) -> None:
 
 
 def test_a_prior_that_knows_nothing_is_calibrated_to_the_body(
-    data: ZjuDataModule, body: Body, moments: list[Moment]
+    data: ZjuDataModule, body: Body, observed_frames: list[ObservedFrame]
 ) -> None:
-    found = calibrate(CountingPrior(0.5), moments, lambda k: data.train_frame(k, truth=False), body)
+    found = calibrate(CountingPrior(0.5), observed_frames, lambda k: data.train_frame(k, truth=False), body)
     assert found.pixels > 100
     assert found.weights[1] > 0.5
     assert found.after is not None
@@ -185,11 +189,11 @@ def test_a_prior_that_knows_nothing_is_calibrated_to_the_body(
 def test_nothing_to_learn_leaves_the_answer_as_it_is(body: Body, data: ZjuDataModule) -> None:
     frame = data.train_frame(0, truth=False)
     nothing = type(frame)(**{**vars(frame), "visible_mask": torch.zeros_like(frame.visible_mask)})
-    moments = look([nothing], body)
-    found = calibrate(CountingPrior(), moments, lambda _: nothing, body)
+    observed_frames = observe_frames([nothing], body)
+    found = calibrate(CountingPrior(), observed_frames, lambda _: nothing, body)
     assert found.weights == STILL
     answer = np.random.default_rng(0).random((96, 96)).astype(np.float32)
-    assert np.array_equal(found.apply(answer, moments[0], frame.camera, body), answer)
+    assert np.array_equal(found.apply(answer, observed_frames[0], frame.camera, body), answer)
 
 
 def test_thickness_of_clothes_is_what_stands_off_the_body(data: ZjuDataModule, body: Body) -> None:
@@ -200,23 +204,27 @@ def test_thickness_of_clothes_is_what_stands_off_the_body(data: ZjuDataModule, b
     frames = []
     for position in range(len(data.train_indices)):
         frame = data.train_frame(position, truth=False)
-        moment = look([frame], body)[0]
+        observed_frame = observe_frames([frame], body)[0]
         camera = frame.camera
-        covered = view_body(*vars(moment.motion).values(), body.faces.numpy(), 96, 96).coverage > 0.5
+        covered = (
+            view_body(*vars(observed_frame.projected).values(), body.faces.numpy(), 96, 96).coverage > 0.5
+        )
         dressed = cv2.dilate(covered.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
         frames.append(type(frame)(**{**vars(frame), "visible_mask": torch.from_numpy(dressed)}))
-    moments = look(frames, body)
-    found = measure_thickness(moments, lambda k: frames[k], body)
-    pixel = float(np.median(moments[0].motion.depths)) / float(camera.K[0, 0])
+    observed_frames = observe_frames(frames, body)
+    found = measure_thickness(observed_frames, lambda k: frames[k], body)
+    pixel = float(np.median(observed_frames[0].projected.depths)) / float(camera.K[0, 0])
     assert found.mean() == pytest.approx(pixel, rel=0.25)
     naked = [
         type(f)(**{**vars(f), "visible_mask": torch.from_numpy(m.evidence.background)})
-        for f, m in zip(frames, moments, strict=True)
+        for f, m in zip(frames, observed_frames, strict=True)
     ]
-    for frame, moment in zip(naked, moments, strict=True):
-        covered = view_body(*vars(moment.motion).values(), body.faces.numpy(), 96, 96).coverage > 0.5
+    for frame, observed_frame in zip(naked, observed_frames, strict=True):
+        covered = (
+            view_body(*vars(observed_frame.projected).values(), body.faces.numpy(), 96, 96).coverage > 0.5
+        )
         frame.visible_mask.copy_(torch.from_numpy(covered))
-    assert measure_thickness(look(naked, body), lambda k: naked[k], body).mean() < 0.35 * pixel
+    assert measure_thickness(observe_frames(naked, body), lambda k: naked[k], body).mean() < 0.35 * pixel
 
 
 # -- weights --------------------------------------------------------------------------------------------------

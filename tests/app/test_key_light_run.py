@@ -16,7 +16,7 @@ from occfusion.observation.key_light import find_key_light
 from occfusion.run import app
 from occfusion.run.compose import make_body, make_data
 from occfusion.run.loaded import load_run
-from occfusion.run.masks import look_at_training_frames
+from occfusion.run.masks import observe_training_frames
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.synth.light import AMBIENT, KEY_DIRECTION
 
@@ -70,7 +70,7 @@ def test_without_a_lamp_nothing_is_looked_for(tmp_path: Path) -> None:
     body = make_body(run.settings.body)
     data = make_data(run.settings, body)
     data.setup()
-    moments = look_at_training_frames(data, body)
-    few = find_key_light(lambda k: data.train_frame(k, truth=False), moments[:3], body.faces.numpy())
+    observed_frames = observe_training_frames(data, body)
+    few = find_key_light(lambda k: data.train_frame(k, truth=False), observed_frames[:3], body.faces.numpy())
     assert few is None  # three frames, none of which shows a point five times
-    assert np.isfinite([m.vertices for m in moments]).all()
+    assert np.isfinite([m.vertices for m in observed_frames]).all()

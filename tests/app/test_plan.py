@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from app.test_config import settings_of
-from occfusion.observation.consistency import Motion
+from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import HIDDEN_SHARE, Evidence
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.observation.key_light import KeyLight
 from occfusion.plan import make as planning
 from occfusion.plan.decisions import box_reason, with_everything
@@ -17,13 +17,13 @@ from occfusion.settings.schema import Settings, optim_hash
 SUMMARY = {"occluded_frames": 0, "frames": 12}
 
 
-def frames(*shares: float) -> list[Moment]:
+def frames(*shares: float) -> list[ObservedFrame]:
     """Returns frames of 100 x 50 px that hide these shares of a body in the middle, 20 x 24 px large."""
     nothing = np.zeros((50, 100), dtype=bool)
-    motion = Motion(np.array([[40.0, 10.0], [60.0, 34.0]]), np.ones(2))
+    motion = ProjectedMesh(np.array([[40.0, 10.0], [60.0, 34.0]]), np.ones(2))
     keypoints = np.zeros((18, 3))
     return [
-        Moment(
+        ObservedFrame(
             k,
             np.zeros((2, 3)),
             keypoints,
@@ -37,17 +37,17 @@ def frames(*shares: float) -> list[Moment]:
 LAMP = KeyLight(np.array([0.1, -0.2, 0.1]), 0.04, 0.02, 5.0)
 
 
-def made(settings: Settings, moments: list[Moment] | None) -> planning.Plan:
-    return planning.make_plan(settings, SUMMARY, "torch", moments, LAMP)
+def made(settings: Settings, observed_frames: list[ObservedFrame] | None) -> planning.Plan:
+    return planning.make_plan(settings, SUMMARY, "torch", observed_frames, LAMP)
 
 
-def used(settings: Settings, moments: list[Moment] | None) -> dict[str, bool]:
-    return {d.part: d.used for d in made(settings, moments).decisions}
+def used(settings: Settings, observed_frames: list[ObservedFrame] | None) -> dict[str, bool]:
+    return {d.part: d.used for d in made(settings, observed_frames).decisions}
 
 
-def as_planned(settings: Settings, moments: list[Moment] | None) -> Settings:
+def as_planned(settings: Settings, observed_frames: list[ObservedFrame] | None) -> Settings:
     """The settings that training goes by."""
-    return made(settings, moments).settings
+    return made(settings, observed_frames).settings
 
 
 @pytest.mark.parametrize(
@@ -72,11 +72,11 @@ def as_planned(settings: Settings, moments: list[Moment] | None) -> Settings:
 def test_networks_mend_poses_that_do_not_fit(
     overrides: tuple[str, ...], shares: list[float], mended: bool
 ) -> None:
-    settings, moments = settings_of(*overrides), frames(*shares)
-    plan = used(settings, moments)
+    settings, observed_frames = settings_of(*overrides), frames(*shares)
+    plan = used(settings, observed_frames)
     parts = ("pose refinement", "pose corrections frame by frame", "skinning network")
     assert all(plan[part] == mended for part in parts)
-    planned = as_planned(settings, moments).optim
+    planned = as_planned(settings, observed_frames).optim
     assert planned.refine_pose == (planned.pose_knots > 0) == planned.learn_skinning == mended
 
 
@@ -99,18 +99,20 @@ def test_the_plain_baseline_corrects_no_frame_by_itself() -> None:
 def test_distillation_where_masks_are_complete(
     overrides: tuple[str, ...], shares: list[float], distilled: bool
 ) -> None:
-    settings, moments = settings_of(*overrides, "optim.sds.where=everywhere"), frames(*shares)
-    plan = used(settings, moments)
+    settings, observed_frames = settings_of(*overrides, "optim.sds.where=everywhere"), frames(*shares)
+    plan = used(settings, observed_frames)
     assert plan["loss term sds_pose"] == plan["loss term sds_can"] == distilled
-    assert as_planned(settings, moments).optim.sds.is_used == distilled
+    assert as_planned(settings, observed_frames).optim.sds.is_used == distilled
 
 
 def test_what_is_left_out_does_not_keep_results_apart() -> None:
     """`E` optimises what `D` does if asked for everything, without distillation what `B` does: it may take that."""
-    moments = frames(*[0.5] * 12)
+    observed_frames = frames(*[0.5] * 12)
     flat = ("optim.thickness=0", "optim.observed_colors=false", "optim.rates.scales=0.05")
     plain = ("optim.key_light=false", "optim.dilation=0.3", *flat)
-    whole, distilled = (as_planned(settings_of(f"variant={v}", "plan=full", *plain), moments) for v in "ED")
+    whole, distilled = (
+        as_planned(settings_of(f"variant={v}", "plan=full", *plain), observed_frames) for v in "ED"
+    )
     assert optim_hash(whole) == optim_hash(distilled)
     lit, sharp = (
         ("optim.key_light=true", "optim.observed_colors=true"),
@@ -118,12 +120,14 @@ def test_what_is_left_out_does_not_keep_results_apart() -> None:
     )
     for own in (*lit, *sharp):
         settings = settings_of("variant=E", "plan=full", *plain, own)
-        assert optim_hash(whole) != optim_hash(as_planned(settings, moments))
+        assert optim_hash(whole) != optim_hash(as_planned(settings, observed_frames))
     alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false", *plain)
-    needed, masks = (as_planned(settings_of(f"variant={v}", *alike), moments) for v in "EB")
+    needed, masks = (as_planned(settings_of(f"variant={v}", *alike), observed_frames) for v in "EB")
     assert optim_hash(needed) == optim_hash(masks)
     assert optim_hash(needed) != optim_hash(settings_of("variant=E"))
-    deferred = as_planned(settings_of("variant=E"), moments)  # its perceptual term comes in the refinement
+    deferred = as_planned(
+        settings_of("variant=E"), observed_frames
+    )  # its perceptual term comes in the refinement
     assert optim_hash(deferred) != optim_hash(masks)
 
 
@@ -150,13 +154,13 @@ def test_the_share_of_the_picture_is_measured() -> None:
         (("optim.lambda_lpips=0",), False),
     ],
 )
-@pytest.mark.parametrize("moments", [frames(*[0.0] * 12), frames(*[0.0] * 4, *[0.5] * 8)])
+@pytest.mark.parametrize("observed_frames", [frames(*[0.0] * 12), frames(*[0.0] * 4, *[0.5] * 8)])
 def test_the_optimisation_leaves_its_perceptual_term_to_the_refinement(
-    overrides: tuple[str, ...], built: bool, moments: list[Moment]
+    overrides: tuple[str, ...], built: bool, observed_frames: list[ObservedFrame]
 ) -> None:
     settings = settings_of(*overrides)
-    assert used(settings, moments)["loss term lpips"] == built
-    assert (as_planned(settings, moments).optim.lambda_lpips > 0) == built
+    assert used(settings, observed_frames)["loss term lpips"] == built
+    assert (as_planned(settings, observed_frames).optim.lambda_lpips > 0) == built
 
 
 @pytest.mark.parametrize(
@@ -175,10 +179,10 @@ def test_the_whole_system_leaves_gaussians_between_vertices_to_its_refinement(
     overrides: tuple[str, ...], gaussians: int
 ) -> None:
     settings = settings_of(*overrides)
-    moments = frames(*[0.5] * 8, *[0.0] * 4)
-    assert as_planned(settings, moments).optim.gaussians == gaussians
+    observed_frames = frames(*[0.5] * 8, *[0.0] * 4)
+    assert as_planned(settings, observed_frames).optim.gaussians == gaussians
     part = "Gaussians between the body's vertices at the start"
-    assert used(settings, moments)[part] == (gaussians > 0)
+    assert used(settings, observed_frames)[part] == (gaussians > 0)
 
 
 def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
@@ -213,8 +217,8 @@ def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
 
 
 def test_a_full_plan_says_what_the_frames_hide_and_that_it_takes_all_for_occluded() -> None:
-    moments = with_everything(frames(*[0.0] * 9, *[0.5] * 3))
-    plan = made(settings_of("plan=full"), moments)
+    observed_frames = with_everything(frames(*[0.0] * 9, *[0.5] * 3))
+    plan = made(settings_of("plan=full"), observed_frames)
     (reason,) = (d.reason for d in plan.decisions if d.part == "complete masks")
     assert reason.startswith("3 of 12 training frames hide more than 3%")
     assert "takes all of them" in reason
@@ -277,8 +281,8 @@ def test_the_papers_recipe_leaves_nothing_out_and_adds_nothing() -> None:
         0.2,
     )
     assert (optim.sds.lambda_pose, optim.sds.lambda_can) == (2e5, 2e5)
-    moments = with_everything(frames(*[0.0] * 9, *[0.5] * 3))
-    parts = used(settings, moments)
+    observed_frames = with_everything(frames(*[0.0] * 9, *[0.5] * 3))
+    parts = used(settings, observed_frames)
     for part in ("complete masks", "inpainting", "loss term sds_pose", "pose refinement", "skinning network"):
         assert parts[part], part
     assert settings_of("recipe=paper", "plan=needed").plan == "needed"

@@ -1,4 +1,4 @@
-"""`stage=prior`: both recipes on tiny corpora."""
+"""`stage=prior`: both tasks on tiny corpora."""
 
 import csv
 import json
@@ -22,7 +22,7 @@ from occfusion.inpaint.appearance_net import (
     take_planes,
 )
 from occfusion.inpaint.partial import CoarsePictures, Partial, Picture
-from occfusion.prior_training.appearance_task import VERSION, AppearanceRecipe, coarse_scenes
+from occfusion.prior_training.appearance_task import VERSION, AppearanceTask, coarse_scenes
 from occfusion.priors.embedded.network_file import save_net
 from occfusion.priors.embedded.silhouette_net import load_silhouette_net
 from occfusion.settings.stages import PriorTrainingSettings
@@ -39,7 +39,7 @@ def small_scene(tmp_path: Path) -> list[str]:
     ]  # fmt: skip
 
 
-def test_the_silhouette_recipe_ends_in_weights(train: Train) -> None:
+def test_the_silhouette_prior_ends_in_weights(train: Train) -> None:
     folder, card = train(*TINY, "prior_training=silhouette", "trainer.fast_dev_run=true")
     net, read = load_silhouette_net(folder / "prior.safetensors")
     assert read["training"] == card["training"] and card["training"]["steps"] == 1
@@ -48,7 +48,7 @@ def test_the_silhouette_recipe_ends_in_weights(train: Train) -> None:
     assert sum(parameter.numel() for parameter in net.parameters()) > 1000
 
 
-def test_the_appearance_recipe_trains_its_coarse_avatars_once(
+def test_the_appearance_prior_trains_its_coarse_avatars_once(
     tmp_path: Path, train: Train, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options = [
@@ -143,7 +143,7 @@ def test_validation_subjects_are_not_trained_on(tmp_path: Path) -> None:
         raise AssertionError
 
     settings = PriorTrainingSettings(network="appearance", batch=8, subjects=3)
-    recipe = AppearanceRecipe(settings, tmp_path, 0, "same", fail)  # type: ignore[arg-type]
+    task = AppearanceTask(settings, tmp_path, 0, "same", fail)  # type: ignore[arg-type]
     for number, scene in enumerate(coarse_scenes(3)):
         shard = tmp_path / scene.scene
         shard.mkdir()
@@ -153,10 +153,10 @@ def test_validation_subjects_are_not_trained_on(tmp_path: Path) -> None:
         np.save(shard / "mask.npy", planes[:, 0])
         identity = {"version": VERSION, "size": SIZE, "made_by": "same", **vars(scene)}
         (shard / "shard.json").write_text(json.dumps(identity))
-    recipe.prepare()
+    task.prepare()
     for step in range(4):
-        assert (recipe.batch(step).conditions[:, 3] > 0.5).all()
-    stranger = AppearanceRecipe(settings, tmp_path, 0, "other", fail)  # type: ignore[arg-type]
+        assert (task.batch(step).conditions[:, 3] > 0.5).all()
+    stranger = AppearanceTask(settings, tmp_path, 0, "other", fail)  # type: ignore[arg-type]
     with pytest.raises(AssertionError):
         stranger.prepare()
 

@@ -18,7 +18,7 @@ from occfusion.data import VideoDataModule
 from occfusion.data.people import who_can_hide
 from occfusion.errors import ConfigError, DataError
 from occfusion.evaluation.evaluate import evaluate_image
-from occfusion.observation.frames import look
+from occfusion.observation.frames import observe_frames
 from occfusion.run.masks import _make_prior
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.types import Rendering
@@ -129,9 +129,14 @@ def test_where_anything_may_stand_before_the_person_others_are_found_as_any_occl
     data = module(crowd, source, occluded=True)
     frames = [data.train_frame(k) for k in range(FRAMES)]
     assert all(frame.occluded is None and frame.truth is None for frame in frames)
-    moments = look(frames, source.body)
-    assert [moment.evidence.occluded for moment in moments] == [True, False, False, True]
-    hiding, hidden = other(source.mask(0) > 0), moments[0].evidence.hidden
+    observed_frames = observe_frames(frames, source.body)
+    assert [observed_frame.evidence.occluded for observed_frame in observed_frames] == [
+        True,
+        False,
+        False,
+        True,
+    ]
+    hiding, hidden = other(source.mask(0) > 0), observed_frames[0].evidence.hidden
     assert hidden.sum() > 20 and (hidden & hiding).sum() > 0.95 * hidden.sum()
 
 

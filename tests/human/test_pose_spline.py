@@ -104,7 +104,7 @@ def test_avatar_is_posed_as_by_the_corrected_pose(body: Body) -> None:
     with torch.no_grad():
         # outside the sequence, and for a pose of no sequence, nothing is corrected
         for moment in (None, -1, 20):
-            other = dataclasses.replace(pose, moment=moment)
+            other = dataclasses.replace(pose, frame_index=moment)
             torch.testing.assert_close(
                 avatar(other, centre).means, plain(other, centre).means, rtol=0, atol=0
             )

@@ -20,7 +20,7 @@ from occfusion.inpaint.partial import KNOWN
 from occfusion.settings.stages import RefineSettings
 from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
 from occfusion.stages.refine import RefineStage
-from occfusion.stages.targets import Doubts, Masks
+from occfusion.stages.targets import Masks, UncertainMasks
 from occfusion.types import Frame, Pose, Rendering
 
 SIZE = 32
@@ -62,11 +62,13 @@ def references(tmp_path: Path) -> References:
 
 
 def stage_of(references: References, outlines: Masks | None = None, **settings: Any) -> RefineStage:
-    """A stage that doubts all of frame 7 but what is seen and `ELSEWHERE`, and whose other settings cost nothing."""
+    """A stage uncertain of all of frame 7 but what is seen and `ELSEWHERE`, and whose other settings cost nothing."""
     chosen = RefineSettings(lambda_lpips=0.0, densify=False, **settings)
-    doubts = Doubts({7: (~mask_of(SEEN) & ~mask_of(ELSEWHERE)).numpy()}, {7: mask_of(UNASKED).numpy()})
+    uncertain = UncertainMasks(
+        {7: (~mask_of(SEEN) & ~mask_of(ELSEWHERE)).numpy()}, {7: mask_of(UNASKED).numpy()}
+    )
     return RefineStage(
-        Avatar(embedded_body()), chosen, references, doubts, outlines or {}, perceptual=None,
+        Avatar(embedded_body()), chosen, references, uncertain, outlines or {}, perceptual=None,
         densifier=None, renderer=Renderer("torch"), seed=0, steps_before=0,
     )  # fmt: skip
 

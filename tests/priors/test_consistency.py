@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from occfusion.observation.consistency import Motion, body_flow, smoothed, warp, warped_iou
+from occfusion.observation.consistency import ProjectedMesh, body_flow, smoothed, warp, warped_iou
 
 SIZE = 80
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def square(x: float, y: float, side: float = 30.0) -> Motion:
+def square(x: float, y: float, side: float = 30.0) -> ProjectedMesh:
     corners = np.array([[0, 0], [side, 0], [side, side], [0, side]], float) + np.array([x, y])
-    return Motion(corners, np.full(4, 2.0))
+    return ProjectedMesh(corners, np.full(4, 2.0))
 
 
 def drawn(x: int, y: int, side: int = 30) -> np.ndarray:
@@ -41,7 +41,7 @@ def test_flow_on_the_body_interpolates_its_motion() -> None:
 
 
 def test_body_that_is_not_seen_does_not_move_anything() -> None:
-    behind = Motion(square(20, 20).pixels, np.full(4, -1.0))
+    behind = ProjectedMesh(square(20, 20).pixels, np.full(4, -1.0))
     flow = body_flow(behind, square(50, 50), FACES, SIZE, SIZE)
     picture = np.random.default_rng(0).random((SIZE, SIZE)).astype(np.float32)
     assert np.allclose(warp(picture, flow), picture, atol=1e-5)

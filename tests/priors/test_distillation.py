@@ -25,7 +25,7 @@ class GaussianScore(ScorePrior[None]):
     def describe(self) -> dict[str, object]:
         return {"prior": self.name}
 
-    def look(self, view: PersonView) -> None:
+    def encode_conditions(self, view: PersonView) -> None:
         return None
 
     def encode(self, occupancy: Tensor) -> Tensor:
@@ -35,7 +35,7 @@ class GaussianScore(ScorePrior[None]):
         angle = torch.tensor(0.5 * torch.pi * t, dtype=torch.float64)
         return float(angle.cos()), float(angle.sin())
 
-    def predict_noise(self, noisy: Tensor, t: float, told: None, guidance: float) -> Tensor:
+    def predict_noise(self, noisy: Tensor, t: float, conditions: None, guidance: float) -> Tensor:
         self.asked += 1
         alpha, sigma = self.levels(t)
         return sigma * (noisy - alpha * self.mean) / (alpha**2 * self.spread**2 + sigma**2)

@@ -14,7 +14,7 @@ from occfusion.human.gaussians import Gaussians
 from occfusion.human.rendering import Renderer
 from occfusion.observation.bodyview import view_body
 from occfusion.observation.crop import CANONICAL_ANGLES, view_canonical
-from occfusion.observation.frames import look
+from occfusion.observation.frames import observe_frames
 from occfusion.prior_training.random_occluders import half_plane
 from occfusion.prior_training.silhouette_examples import draw_poses
 from occfusion.priors.embedded.silhouette_prior import EmbeddedScore
@@ -116,20 +116,26 @@ def fitted(
 ) -> tuple[float, float]:
     """Returns the mean IoU inside the hidden half, and the floaters' mean opacity."""
     body, shots = embedded_body(), make_shots()
-    moments = look((shot.frame for shot in shots), body)
+    observed_frames = observe_frames((shot.frame for shot in shots), body)
     avatar, count = make_avatar(body)
     distiller = None
     if settings is not None:
         prior = EmbeddedScore(weights)
         distiller = Distiller(
-            prior, settings, steps=steps, moments=moments, body=body, renderer=Renderer("auto"), seed=0
+            prior,
+            settings,
+            steps=steps,
+            observed_frames=observed_frames,
+            body=body,
+            renderer=Renderer("auto"),
+            seed=0,
         )
     rates = {"means": 1.6e-4, "sh0": 0.0, "opacity": 5e-2, "scales": 5e-3, "quats": 1e-3}
     adam = torch.optim.Adam(avatar.parameter_groups(rates), eps=1e-15)
     for step in range(steps):
         avatar.prepare(step)
         frame = shots[step % FRAMES].frame
-        known = frame.visible_mask | torch.from_numpy(moments[frame.index].evidence.background)
+        known = frame.visible_mask | torch.from_numpy(observed_frames[frame.index].evidence.background)
         alpha = alpha_of(avatar, frame)
         loss = 2e4 * torch.where(known, (alpha - frame.visible_mask.float()).square(), 0.0).mean()
         if distiller is not None:

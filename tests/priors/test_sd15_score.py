@@ -34,10 +34,12 @@ def prior(models: dict[str, str]) -> Sd15Score:
 def loss_of(
     prior: Sd15Score, occupancy: torch.Tensor, mask: torch.Tensor, guidance: float = 0.0
 ) -> torch.Tensor:
-    told = prior.look(view_canonical(embedded_body(), 0, prior.size))
+    conditions = prior.encode_conditions(view_canonical(embedded_body(), 0, prior.size))
     noise = torch.randn(1, *prior.signal_shape, generator=torch.Generator().manual_seed(0))
     draw = Draw(0.6, noise)
-    return distil(prior, occupancy, mask, told, draw, weighting="sigma2", guidance=guidance, reduction="mean")
+    return distil(
+        prior, occupancy, mask, conditions, draw, weighting="sigma2", guidance=guidance, reduction="mean"
+    )
 
 
 def test_gradient_reaches_the_picture_and_not_the_models(prior: Sd15Score) -> None:
@@ -56,7 +58,7 @@ def test_gradient_reaches_the_picture_and_not_the_models(prior: Sd15Score) -> No
 
 def test_canvas_and_prompts_are_conditions(prior: Sd15Score, monkeypatch: pytest.MonkeyPatch) -> None:
     body = embedded_body()
-    front, side = (prior.look(view_canonical(body, turn, prior.size)) for turn in (0, 4))
+    front, side = (prior.encode_conditions(view_canonical(body, turn, prior.size)) for turn in (0, 4))
     assert front.shape == (1, 3, 256, 256)
     assert float(front.max()) > 0.5
     noisy = torch.randn(1, *prior.signal_shape)

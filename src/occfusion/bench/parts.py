@@ -99,14 +99,14 @@ def _distillation_parts(alpha: Tensor, box: Box, backend: str) -> dict[str, Call
     body = embedded_body()
     prior = EmbeddedScore()
     view = view_canonical(body, 0, prior.size)
-    told, mask = prior.look(view), torch.ones(prior.size, prior.size)
+    conditions, mask = prior.encode_conditions(view), torch.ones(prior.size, prior.size)
     camera = replace(view.camera, viewmat=view.camera.viewmat.float(), K=view.camera.K.float())
     avatar, renderer = Avatar(body, sh_degree=0), Renderer(backend)
     draw = Draw(0.9, torch.randn(1, *prior.signal_shape, generator=torch.Generator().manual_seed(0)))
 
     def push(occupancy: Tensor) -> None:
         distil(
-            prior, occupancy, mask, told, draw, weighting="sigma2", guidance=1.0, reduction="mean"
+            prior, occupancy, mask, conditions, draw, weighting="sigma2", guidance=1.0, reduction="mean"
         ).backward()
 
     def posed() -> None:
@@ -119,7 +119,7 @@ def _distillation_parts(alpha: Tensor, box: Box, backend: str) -> dict[str, Call
     return {
         f"distillation, {prior.name} {prior.size} px, the frame's pose": posed,
         f"distillation, {prior.name} {prior.size} px, the canonical pose": canonical,
-        f"the prior's conditions, {prior.size} px, once a frame": lambda: prior.look(view),
+        f"the prior's conditions, {prior.size} px, once a frame": lambda: prior.encode_conditions(view),
     }
 
 

@@ -194,8 +194,8 @@ class Avatar(nn.Module):
         if self.pose_refiner is not None:
             body_pose = pose.body_pose.reshape(-1).to(self.gaussians.means)
             rotations = self.pose_refiner(body_pose, rotations)
-        if self.pose_spline is not None and pose.moment is not None:
-            rotations, transl = self.pose_spline(pose.moment, rotations, transl)
+        if self.pose_spline is not None and pose.frame_index is not None:
+            rotations, transl = self.pose_spline(pose.frame_index, rotations, transl)
         return rotations, transl
 
     def canonical(self, camera_centre: Tensor, angle: float = 0.0) -> Cloud:

@@ -56,15 +56,15 @@ class PoseSpline(nn.Module):
         """How many knots there are."""
         return len(self.turns)
 
-    def covers(self, moment: int) -> bool:
+    def covers(self, frame_index: int) -> bool:
         """Returns whether a frame lies in the range."""
-        return 0.0 <= (moment - self.first) / self.spacing <= self.knots - 3 + ROUNDING
+        return 0.0 <= (frame_index - self.first) / self.spacing <= self.knots - 3 + ROUNDING
 
-    def at(self, moment: int) -> tuple[Tensor, Tensor]:
+    def at(self, frame_index: int) -> tuple[Tensor, Tensor]:
         """Returns the turns as axis-angles `[24, 3]`, radians, and the shift `[3]`, metres; zeros outside the range."""
-        if not self.covers(moment):
+        if not self.covers(frame_index):
             return torch.zeros_like(self.turns[0]), torch.zeros_like(self.places[0])
-        place = (moment - self.first) / self.spacing
+        place = (frame_index - self.first) / self.spacing
         start = min(int(place), self.knots - 4)  # the end of the range belongs to the last piece
         u = place - start
         weights = self.turns.new_tensor(
@@ -74,13 +74,13 @@ class PoseSpline(nn.Module):
             start : start + 4
         ]
 
-    def forward(self, moment: int, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, frame_index: int, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Returns rotations with the turns multiplied from the right, and the translation with the shift added.
 
         Args:
-            moment: number of the frame.
+            frame_index: number of the frame.
             rotations: of the joints, `[24, 3, 3]`.
             transl: of the body, `[3]`, metres.
         """
-        turns, shift = self.at(moment)
+        turns, shift = self.at(frame_index)
         return rotations @ axis_angle_to_matrix(turns), transl + shift

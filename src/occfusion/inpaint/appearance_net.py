@@ -105,7 +105,7 @@ def from_signal(signal: Tensor) -> Tensor:
 
 APPEARANCE = "appearance"
 NETWORK_VERSION = 2
-"""Of what the network is told and predicts: 2 since its signal is companded."""
+"""Of the network's conditions and prediction: 2 since its signal is companded."""
 
 
 def load_appearance_net(path: str | Path | None = None) -> tuple[AppearanceNet, Card]:

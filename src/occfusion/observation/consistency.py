@@ -18,8 +18,8 @@ FLOW_SIZE = 64
 
 
 @dataclass(frozen=True)
-class Motion:
-    """The body in one frame, as far as motion needs it.
+class ProjectedMesh:
+    """The body mesh as projected in one frame.
 
     Attributes:
         pixels: projected vertices, `[V, 2]`.
@@ -30,7 +30,9 @@ class Motion:
     depths: NDArray[np.float64]
 
 
-def body_flow(now: Motion, other: Motion, faces: NDArray[np.int64], height: int, width: int) -> Floats:
+def body_flow(
+    now: ProjectedMesh, other: ProjectedMesh, faces: NDArray[np.int64], height: int, width: int
+) -> Floats:
     """Returns where each pixel of `now` comes from in `other`, `[H, W, 2]`, pixels (x, y).
 
     On the body it follows the surface that is seen; beyond, the nearest point of the outline.

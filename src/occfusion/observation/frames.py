@@ -13,7 +13,7 @@ from occfusion.errors import DataError
 from occfusion.geometry.camera import project_vertices
 from occfusion.human.body import Body
 from occfusion.observation.bodyview import view_body
-from occfusion.observation.consistency import Motion
+from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import FITTING, Evidence, gather_evidence, misfit
 from occfusion.observation.keypoints import face_vertices, keypoints_3d
 from occfusion.types import Camera, Frame
@@ -47,21 +47,21 @@ class Observation:
 
 
 @dataclass(frozen=True)
-class Moment:
+class ObservedFrame:
     """What is known of a training frame.
 
     Attributes:
-        frame: number of the frame in the sequence.
+        index: number of the frame in the sequence.
         vertices: the body mesh in the world, `[V, 3]`, metres.
         keypoints: `[18, 3]`, metres.
-        motion: the mesh in the picture.
+        projected: the mesh in the picture.
         evidence: what is hidden.
     """
 
-    frame: int
+    index: int
     vertices: NDArray[np.float64]
     keypoints: NDArray[np.float64]
-    motion: Motion
+    projected: ProjectedMesh
     evidence: Evidence
 
     def observation(self, frame: Frame, body: Body) -> Observation:
@@ -79,7 +79,7 @@ class Moment:
 
 
 @torch.no_grad()
-def look(frames: Iterable[Frame], body: Body) -> list[Moment]:
+def observe_frames(frames: Iterable[Frame], body: Body) -> list[ObservedFrame]:
     """Returns what masks and poses say of the training frames of one camera.
 
     Raises:
@@ -102,22 +102,26 @@ def look(frames: Iterable[Frame], body: Body) -> list[Moment]:
         bodies.append(covered)
         seen.append(frame.visible_mask.cpu().numpy())
         points = keypoints_3d(vertices, joints, face).numpy()
-        parts.append((frame.index, vertices.numpy(), points, Motion(pixels, depths)))
+        parts.append((frame.index, vertices.numpy(), points, ProjectedMesh(pixels, depths)))
     evidence = gather_evidence(bodies, seen)
-    return [Moment(*part, found) for part, found in zip(parts, evidence, strict=True)]
+    return [ObservedFrame(*part, found) for part, found in zip(parts, evidence, strict=True)]
 
 
-def misfit_of(moments: Sequence[Moment] | None) -> tuple[float, int] | None:
+def misfit_of(observed_frames: Sequence[ObservedFrame] | None) -> tuple[float, int] | None:
     """Returns how much of the body lies outside the mask, and in how many frames; None where these are too few.
 
     A share, the median of the frames that show a whole person.
     """
-    whole = [moment.evidence for moment in moments or () if not moment.evidence.occluded]
+    whole = [
+        observed_frame.evidence
+        for observed_frame in observed_frames or ()
+        if not observed_frame.evidence.occluded
+    ]
     missed = misfit([own.outside_share for own in whole])
     return None if missed is None else (missed, len(whole))
 
 
-def poses_fit(moments: Sequence[Moment] | None) -> bool:
+def poses_fit(observed_frames: Sequence[ObservedFrame] | None) -> bool:
     """Returns whether poses need no mending, as far as the video tells."""
-    measured = misfit_of(moments)
+    measured = misfit_of(observed_frames)
     return measured is not None and measured[0] < FITTING

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from occfusion.geometry.normals import vertex_normals
 from occfusion.observation.bodyview import view_body
 from occfusion.observation.evidence import person_size
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.types import Frame
 
 Floats = NDArray[np.float64]
@@ -84,30 +84,32 @@ class KeyLight:
 
 
 def find_key_light(
-    read: Callable[[int], Frame], moments: Sequence[Moment], faces: NDArray[np.integer]
+    read: Callable[[int], Frame], observed_frames: Sequence[ObservedFrame], faces: NDArray[np.integer]
 ) -> KeyLight | None:
     """Returns the lamp that a video shows, or None where too little is seen to tell.
 
     Args:
         read: gives the training frame at a position, without truth.
-        moments: what is known of each.
+        observed_frames: what is known of each.
         faces: of the body mesh, `[F, 3]`.
     """
-    positions = np.unique(np.linspace(0, len(moments) - 1, min(FRAMES, len(moments))).round().astype(int))
-    return fit_key_light(join([sight(read(int(k)), moments[k], faces) for k in positions]))
+    positions = np.unique(
+        np.linspace(0, len(observed_frames) - 1, min(FRAMES, len(observed_frames))).round().astype(int)
+    )
+    return fit_key_light(join([sight(read(int(k)), observed_frames[k], faces) for k in positions]))
 
 
-def sight(frame: Frame, moment: Moment, faces: NDArray[np.integer]) -> Sightings:
+def sight(frame: Frame, observed_frame: ObservedFrame, faces: NDArray[np.integer]) -> Sightings:
     """Returns the points of the body that a frame shows well."""
     visible = frame.visible_mask.cpu().numpy()
     height, width = visible.shape
     rim = max(1, round(RIM * person_size(visible)))
     inside = cv2.erode(visible.astype(np.uint8), np.ones((2 * rim + 1, 2 * rim + 1), np.uint8)) > 0
-    pixels, depths = moment.motion.pixels, moment.motion.depths
+    pixels, depths = observed_frame.projected.pixels, observed_frame.projected.depths
     surface = view_body(pixels, depths, faces, width, height).depth
-    normals = vertex_normals(moment.vertices, faces)
+    normals = vertex_normals(observed_frame.vertices, faces)
     viewmat = frame.camera.viewmat.double().cpu().numpy()
-    towards = -viewmat[:3, :3].T @ viewmat[:3, 3] - moment.vertices
+    towards = -viewmat[:3, :3].T @ viewmat[:3, 3] - observed_frame.vertices
     cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
     is_in = ((pixels >= 0) & (pixels < (width, height))).all(axis=1) & (cosine > FACING)
     points = np.flatnonzero(is_in)

@@ -9,7 +9,7 @@ import numpy as np
 
 from occfusion.data.registered import SceneRegistration
 from occfusion.observation.evidence import FITTING, HIDDEN_SHARE
-from occfusion.observation.frames import Moment, misfit_of, poses_fit
+from occfusion.observation.frames import ObservedFrame, misfit_of, poses_fit
 from occfusion.observation.key_light import KeyLight
 from occfusion.settings.schema import STAGES, Settings, stages_to_run
 from occfusion.settings.stages import AvatarSettings
@@ -52,7 +52,7 @@ def registration_decision(registered: SceneRegistration | None) -> Decision:
     return Decision(part, bool(registered.corrections), registered.text())
 
 
-def stage_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
+def stage_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
     """Returns the decisions on the stages, in order."""
     decisions = []
     for stage in STAGES:
@@ -61,14 +61,14 @@ def stage_decisions(settings: Settings, moments: Sequence[Moment] | None) -> lis
             decisions.append(Decision(part, False, f"variant {variant} does not need it"))
         elif stage not in stages_to_run(settings):
             decisions.append(Decision(part, False, f"stage={settings.stage.name} asks for another"))
-        elif stage in HIDDEN_STAGES and moments is not None and not _occluded(moments):
-            decisions.append(Decision(part, False, _hidden_reason(moments)))
+        elif stage in HIDDEN_STAGES and observed_frames is not None and not _occluded(observed_frames):
+            decisions.append(Decision(part, False, _hidden_reason(observed_frames)))
         else:
             decisions.append(Decision(part, True, f"variant {variant} needs it"))
     return decisions
 
 
-def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
+def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
     """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order.
 
     Where no frame is occluded, neither has anything to add to what is seen. Nor has either where every occluded frame
@@ -78,24 +78,25 @@ def sds_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[
     sds = settings.optim.sds
     reasons = [f"optim.sds.lambda_{name} = {getattr(sds, f'lambda_{name}'):g}" for name in ("pose", "can")]
     used = [sds.lambda_pose > 0, sds.lambda_can > 0]
-    if used[0] and sds.where == "hidden" and moments is not None:
-        hidden = sum(bool(moment.evidence.hidden.any()) for moment in moments)
-        reasons[0] += f"; {hidden} of {len(moments)} training frames have hidden pixels to push"
+    if used[0] and sds.where == "hidden" and observed_frames is not None:
+        hidden = sum(bool(observed_frame.evidence.hidden.any()) for observed_frame in observed_frames)
+        reasons[0] += f"; {hidden} of {len(observed_frames)} training frames have hidden pixels to push"
         used[0] = hidden > 0
-    if moments is not None and not _occluded(moments):
-        reasons = [f"{reason}; {_hidden_reason(moments)}" for reason in reasons]
+    if observed_frames is not None and not _occluded(observed_frames):
+        reasons = [f"{reason}; {_hidden_reason(observed_frames)}" for reason in reasons]
         used = [False, False]
-    elif moments is not None and any(used) and _may_leave_out(settings):
-        most = max(moment.evidence.hidden_share for moment in moments)
+    elif observed_frames is not None and any(used) and _may_leave_out(settings):
+        most = max(observed_frame.evidence.hidden_share for observed_frame in observed_frames)
         if most <= MOSTLY_HIDDEN:
-            known = f"all {_occluded(moments)} occluded frames get complete masks and show at least {1 - most:.0%}"
+            occluded = _occluded(observed_frames)
+            known = f"all {occluded} occluded frames get complete masks and show at least {1 - most:.0%}"
             reasons = [f"{reason}; {known} of the body: it changed nothing then" for reason in reasons]
             used = [False, False]
     names = ("loss term sds_pose", "loss term sds_can")
     return [Decision(*parts) for parts in zip(names, used, reasons, strict=True)]
 
 
-def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> list[Decision]:
+def network_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
     """Returns the decisions on pose refinement, corrections frame by frame, and the skinning network, in this order.
 
     They mend poses. They are left out where poses fit: the masks of the frames that show a whole person then show the
@@ -109,7 +110,7 @@ def network_decisions(settings: Settings, moments: Sequence[Moment] | None) -> l
         ),
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
-    measured = misfit_of(moments)
+    measured = misfit_of(observed_frames)
     if not may_leave_out_networks(settings) or measured is None:
         return decisions
     misfit, count = measured
@@ -162,12 +163,12 @@ def may_leave_out_networks(settings: Settings) -> bool:
     return asked and settings.plan == "needed"
 
 
-def generated_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+def generated_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
     """The term on what was inpainted has nothing to look at where nothing was."""
     weight = settings.refine.lambda_gen
     used, reason = weight > 0, f"refine.lambda_gen = {weight:g}"
-    if moments is not None and not _occluded(moments):
-        used, reason = False, f"{reason}; {_hidden_reason(moments)}"
+    if observed_frames is not None and not _occluded(observed_frames):
+        used, reason = False, f"{reason}; {_hidden_reason(observed_frames)}"
     return Decision("loss term gen in refine", used, reason)
 
 
@@ -186,7 +187,7 @@ class HiddenMasks:
     target: str
 
 
-def hidden_masks(settings: Settings, moments: Sequence[Moment] | None) -> HiddenMasks:
+def hidden_masks(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> HiddenMasks:
     """Returns what hidden pixels are held to, and by what weight.
 
     An outline takes the place of complete masks only where no poses are mended, which move it. Complete masks are
@@ -196,7 +197,7 @@ def hidden_masks(settings: Settings, moments: Sequence[Moment] | None) -> Hidden
     own, refine = settings.optim.mask_hidden, settings.refine
     if settings.plan == "full":
         return HiddenMasks(own, 1.0, "complete")
-    fits = poses_fit(moments)
+    fits = poses_fit(observed_frames)
     doubted = refine.mask_hidden_fitting if fits else refine.mask_hidden
     target = refine.mask_target if fits else "complete"
     first = min(own, doubted) if _may_leave_out(settings) else own
@@ -204,7 +205,7 @@ def hidden_masks(settings: Settings, moments: Sequence[Moment] | None) -> Hidden
 
 
 def hidden_mask_decision(
-    stage: str, settings: Settings, hidden: HiddenMasks, moments: Sequence[Moment] | None
+    stage: str, settings: Settings, hidden: HiddenMasks, observed_frames: Sequence[ObservedFrame] | None
 ) -> Decision:
     """Returns whether the mask term counts fully on hidden pixels: what is there, other frames may tell better."""
     weight = hidden.optim if stage == "optim" else hidden.refine
@@ -212,13 +213,13 @@ def hidden_mask_decision(
     reason = f"it counts {weight:g} there"
     if stage == "optim" and weight < settings.optim.mask_hidden:
         reason += ": other frames tell better"
-    if "refine" in settings.variant.stages and poses_fit(moments):
+    if "refine" in settings.variant.stages and poses_fit(observed_frames):
         reason += "; poses fit as given, so complete masks do"
     is_replaced = stage == "refine" and hidden.target == "outline"
     if is_replaced:
         reason = f"poses fit as given: the avatar's own outline takes the place of complete masks, weight {weight:g}"
-    if moments is not None and not _occluded(moments):
-        return Decision(part, False, _hidden_reason(moments))
+    if observed_frames is not None and not _occluded(observed_frames):
+        return Decision(part, False, _hidden_reason(observed_frames))
     return Decision(part, weight == 1.0 and not is_replaced, reason)
 
 
@@ -239,40 +240,43 @@ def densification_decision(stage: str, settings: AvatarSettings, steps: int) -> 
     return Decision(part, True, f"{reason}; rounds at steps {', '.join(map(str, rounds))} of {steps}")
 
 
-def box_reason(moments: Sequence[Moment] | None) -> str:
+def box_reason(observed_frames: Sequence[ObservedFrame] | None) -> str:
     """Returns how much of the pictures is rendered, where that is known."""
     reason = "rendered crops hold every Gaussian"
-    if not moments:
+    if not observed_frames:
         return reason
     shares = []
-    for moment in moments:
-        height, width = moment.evidence.hidden.shape
-        low = np.clip(moment.motion.pixels.min(axis=0) - BOX_PADDING, 0, (width, height))
-        high = np.clip(moment.motion.pixels.max(axis=0) + BOX_PADDING, 0, (width, height))
+    for observed_frame in observed_frames:
+        height, width = observed_frame.evidence.hidden.shape
+        low = np.clip(observed_frame.projected.pixels.min(axis=0) - BOX_PADDING, 0, (width, height))
+        high = np.clip(observed_frame.projected.pixels.max(axis=0) + BOX_PADDING, 0, (width, height))
         shares.append(float(np.prod(high - low)) / (width * height))
     return (
         f"{reason}; the body's box is {np.mean(shares):.0%} of the picture in the mean of the training frames"
     )
 
 
-def mask_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+def mask_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
     """Returns whether any mask is completed."""
-    if moments is None or "init" not in settings.variant.stages:
+    if observed_frames is None or "init" not in settings.variant.stages:
         return Decision("complete masks", False, f"variant {settings.variant.name} trains on visible masks")
-    return Decision("complete masks", _occluded(moments) > 0, _hidden_reason(moments))
+    return Decision("complete masks", _occluded(observed_frames) > 0, _hidden_reason(observed_frames))
 
 
-def inpainting_decision(settings: Settings, moments: Sequence[Moment] | None) -> Decision:
+def inpainting_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
     """Returns whether any frame is inpainted."""
-    if moments is None or "refine" not in settings.variant.stages:
+    if observed_frames is None or "refine" not in settings.variant.stages:
         return Decision("inpainting", False, f"variant {settings.variant.name} does not need it")
-    reason = f"{_hidden_reason(moments)}; the others are not inpainted"
-    return Decision("inpainting", _occluded(moments) > 0, reason)
+    reason = f"{_hidden_reason(observed_frames)}; the others are not inpainted"
+    return Decision("inpainting", _occluded(observed_frames) > 0, reason)
 
 
-def with_everything(moments: Sequence[Moment]) -> list[Moment]:
-    """Returns the moments with each frame counted as occluded, for `plan=full`."""
-    return [replace(moment, evidence=replace(moment.evidence, occluded=True)) for moment in moments]
+def with_everything(observed_frames: Sequence[ObservedFrame]) -> list[ObservedFrame]:
+    """Returns the observed_frames with each frame counted as occluded, for `plan=full`."""
+    return [
+        replace(observed_frame, evidence=replace(observed_frame.evidence, occluded=True))
+        for observed_frame in observed_frames
+    ]
 
 
 def _may_leave_out(settings: Settings) -> bool:
@@ -280,11 +284,17 @@ def _may_leave_out(settings: Settings) -> bool:
     return "refine" in settings.variant.stages and settings.plan == "needed"
 
 
-def _occluded(moments: Sequence[Moment]) -> int:
-    return sum(moment.evidence.occluded for moment in moments)
+def _occluded(observed_frames: Sequence[ObservedFrame]) -> int:
+    return sum(observed_frame.evidence.occluded for observed_frame in observed_frames)
 
 
-def _hidden_reason(moments: Sequence[Moment]) -> str:
-    hiding = sum(moment.evidence.hidden_share > HIDDEN_SHARE for moment in moments)
-    reason = f"{hiding} of {len(moments)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
-    return reason if _occluded(moments) <= hiding else f"{reason}; plan=full takes all of them for occluded"
+def _hidden_reason(observed_frames: Sequence[ObservedFrame]) -> str:
+    hiding = sum(observed_frame.evidence.hidden_share > HIDDEN_SHARE for observed_frame in observed_frames)
+    reason = (
+        f"{hiding} of {len(observed_frames)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
+    )
+    return (
+        reason
+        if _occluded(observed_frames) <= hiding
+        else f"{reason}; plan=full takes all of them for occluded"
+    )

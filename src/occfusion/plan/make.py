@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from occfusion.data.registered import SceneRegistration
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.observation.key_light import KeyLight
 from occfusion.perceptual import training_dtype
 from occfusion.plan.decisions import (
@@ -86,7 +86,7 @@ def make_plan(
     settings: Settings,
     summary: Mapping[str, Any],
     backend: str,
-    moments: Sequence[Moment] | None = None,
+    observed_frames: Sequence[ObservedFrame] | None = None,
     key_light: KeyLight | None = None,
     registered: SceneRegistration | None = None,
     device: torch.device | None = None,
@@ -97,23 +97,23 @@ def make_plan(
         settings: as the user asked.
         summary: the DataModule's summary; uses `occluded_frames` and `frames`.
         backend: the rasteriser backend that runs.
-        moments: what masks and poses say of the training frames; None where nothing depends on it.
+        observed_frames: what masks and poses say of the training frames; None where nothing depends on it.
         key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
         registered: whether pictures lie where the cameras say; None where that was not measured.
         device: where the run computes; the CPU when None.
     """
     optim, refine = settings.optim, settings.refine
-    stages = stage_decisions(settings, moments)
+    stages = stage_decisions(settings, observed_frames)
     running = tuple(
         stage for stage in stages_to_run(settings)
         if any(d.used and d.part == f"stage {stage}" for d in stages)
     )  # fmt: skip
     is_refined = "refine" in running
-    inpainting = inpainting_decision(settings, moments)
-    hidden = hidden_masks(settings, moments)
+    inpainting = inpainting_decision(settings, observed_frames)
+    hidden = hidden_masks(settings, observed_frames)
     is_deferred = is_perceptual_term_deferred(settings)
-    distillation = sds_decisions(settings, moments)
-    networks = network_decisions(settings, moments)
+    distillation = sds_decisions(settings, observed_frames)
+    networks = network_decisions(settings, observed_frames)
     lamp = key_light_decision(settings, key_light)
     start = start_decision(settings)
     rounds = densification_decision("optim", optim, steps_of(settings, optim))
@@ -122,11 +122,11 @@ def make_plan(
         settings, hidden, is_deferred, distillation, networks, lamp, start, rounds, refined_rounds
     )
 
-    plan = [registration_decision(registered), *stages, mask_decision(settings, moments), inpainting]
+    plan = [registration_decision(registered), *stages, mask_decision(settings, observed_frames), inpainting]
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
     plan += _term_decisions("optim", optim, ("rgb", "mask", "ssim"))
-    plan.append(hidden_mask_decision("optim", settings, hidden, moments))
+    plan.append(hidden_mask_decision("optim", settings, hidden, observed_frames))
     if is_deferred:
         reason = f"optim.lambda_lpips = {optim.lambda_lpips:g}; the refinement that follows has it, and ends the same"
         plan.append(Decision("loss term lpips", False, reason))
@@ -144,11 +144,11 @@ def make_plan(
     plan.append(rounds)
     if is_refined:
         plan += _term_decisions("refine", refine, ("rgb", "mask"))
-        plan.append(hidden_mask_decision("refine", settings, hidden, moments))
-        plan.append(generated_decision(settings, moments))
+        plan.append(hidden_mask_decision("refine", settings, hidden, observed_frames))
+        plan.append(generated_decision(settings, observed_frames))
         plan += _term_decisions("refine", refine, ("ssim", "lpips"))
         plan.append(refined_rounds)
-    plan.append(Decision("pixels outside the person's padded box", False, box_reason(moments)))
+    plan.append(Decision("pixels outside the person's padded box", False, box_reason(observed_frames)))
     plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
     plan += precision_decisions(settings, plan, device or torch.device("cpu"))
     return Plan(tuple(plan), effective, running, inpainting.used)

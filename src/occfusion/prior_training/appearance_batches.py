@@ -28,7 +28,7 @@ from occfusion.inpaint.appearance_net import (
     to_signal,
 )
 from occfusion.inpaint.partial import KNOWN, SOLID, take_partial
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.types import Frame
 
 
@@ -48,7 +48,7 @@ class Example:
 
 
 def make_examples(
-    avatar: Avatar, frames: Sequence[Frame], moments: Sequence[Moment], renderer: Renderer
+    avatar: Avatar, frames: Sequence[Frame], observed_frames: Sequence[ObservedFrame], renderer: Renderer
 ) -> Iterator[Example]:
     """Yields an example for each occluded frame, whose truth must be known.
 
@@ -56,16 +56,16 @@ def make_examples(
         avatar: of the end of the optimisation stage; what no frame shows of it is given the colours of what is seen
             nearby, as the refinement does before it asks for references.
         frames: all training frames, with the complete masks that the avatar was trained with.
-        moments: of the same frames.
+        observed_frames: of the same frames.
         renderer: draws the avatar.
     """
     accumulated = accumulate(avatar, frames, renderer)
     paint_unseen(avatar, accumulated)
-    for frame, moment in zip(frames, moments, strict=True):
-        if not moment.evidence.occluded:
+    for frame, observed_frame in zip(frames, observed_frames, strict=True):
+        if not observed_frame.evidence.occluded:
             continue
         assert frame.truth is not None
-        observation = moment.observation(frame, avatar.body)
+        observation = observed_frame.observation(frame, avatar.body)
         square, planes = take_planes(take_partial(avatar, accumulated, frame, observation, renderer))
         planes[DEPTH] = 0.5 * (planes[DEPTH] + 1.0)
         mask = frame.truth.mask.numpy().astype(np.float32)[..., None]
@@ -118,7 +118,7 @@ class Batch:
 
 
 def make_batch(examples: Sequence[Example], rng: np.random.Generator) -> Batch:
-    """Returns windows of examples, mirrored or not, in other colours, behind more occluders, parts untold.
+    """Returns windows of examples, mirrored or not, in other colours, behind more occluders, parts left out.
 
     Args:
         examples: one for each window.
@@ -159,8 +159,8 @@ def _weight(planes: Tensor, mask: Tensor) -> Tensor:
 
 def _window(example: Example, rng: np.random.Generator) -> Example:
     """Returns a window about a random pixel of R, often one that no frame shows."""
-    told = torch.from_numpy(example.planes[None].astype(np.float32) / 255.0)
-    region, unseen = region_of(told)[0].numpy(), unseen_of(told)[0].numpy()
+    shown = torch.from_numpy(example.planes[None].astype(np.float32) / 255.0)
+    region, unseen = region_of(shown)[0].numpy(), unseen_of(shown)[0].numpy()
     chosen = unseen if rng.uniform() < ABOUT_UNSEEN and unseen.any() else region
     rows, columns = np.nonzero(chosen)
     if len(rows):

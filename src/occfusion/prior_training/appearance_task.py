@@ -1,4 +1,4 @@
-"""The recipe of the embedded inpainter: coarse avatars of training subjects, as the optimisation stage leaves them."""
+"""The task of the embedded inpainter: coarse avatars of training subjects, as the optimisation stage leaves them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from occfusion.inpaint.appearance_net import (
     AppearanceNet,
     from_signal,
 )
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.prior_training.appearance_batches import (
     Batch,
     Example,
@@ -33,7 +33,7 @@ from occfusion.prior_training.appearance_batches import (
     unseen_of,
     whole_batch,
 )
-from occfusion.prior_training.task import Recipe
+from occfusion.prior_training.task import PriorTask
 from occfusion.priors.embedded.diffusion import posterior_mean
 from occfusion.settings.stages import PriorTrainingSettings
 from occfusion.synth.spec import HELD_OUT_FROM
@@ -81,13 +81,13 @@ class Coarse:
     Attributes:
         avatar: of the end of the optimisation stage.
         frames: all training frames, with truth and complete masks.
-        moments: of the same frames.
+        observed_frames: of the same frames.
         renderer: that it was trained with.
     """
 
     avatar: Avatar
     frames: Sequence[Frame]
-    moments: Sequence[Moment]
+    observed_frames: Sequence[ObservedFrame]
     renderer: Renderer
 
 
@@ -113,7 +113,7 @@ def coarse_scenes(count: int) -> list[CoarseScene]:
     return found
 
 
-class AppearanceRecipe(Recipe[AppearanceNet]):
+class AppearanceTask(PriorTask[AppearanceNet]):
     """Hidden parts of people beside their coarse avatars; measured on subjects that it is not trained on.
 
     Args:
@@ -147,7 +147,9 @@ class AppearanceRecipe(Recipe[AppearanceNet]):
             marker = shard / "shard.json"
             if not (marker.is_file() and json.loads(marker.read_text()) == identity):
                 coarse = self._train(scene, self.folder / "runs" / scene.scene)
-                examples = list(make_examples(coarse.avatar, coarse.frames, coarse.moments, coarse.renderer))
+                examples = list(
+                    make_examples(coarse.avatar, coarse.frames, coarse.observed_frames, coarse.renderer)
+                )
                 shard.mkdir(parents=True, exist_ok=True)
                 for name in ("planes", "truth", "mask"):
                     np.save(shard / f"{name}.npy", np.stack([getattr(example, name) for example in examples]))

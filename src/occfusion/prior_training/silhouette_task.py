@@ -1,4 +1,4 @@
-"""The recipe of the silhouette prior: dressed people in wide poses."""
+"""The task of the silhouette prior: dressed people in wide poses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from occfusion.prior_training.silhouette_batches import Batch, Corpus, fusion_batches, validation_batches
-from occfusion.prior_training.task import Recipe
+from occfusion.prior_training.task import PriorTask
 from occfusion.priors.embedded.diffusion import posterior_mean
 from occfusion.priors.embedded.silhouette_net import SILHOUETTE, SIZE, SilhouetteNet
 from occfusion.settings.stages import PriorTrainingSettings
@@ -17,7 +17,7 @@ from occfusion.settings.stages import PriorTrainingSettings
 FUSION_SILHOUETTES = 1500
 
 
-class SilhouetteRecipe(Recipe[SilhouetteNet]):
+class SilhouetteTask(PriorTask[SilhouetteNet]):
     """Silhouettes behind random occluders; measured on other poses of the training subjects.
 
     Args:

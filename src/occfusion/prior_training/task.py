@@ -1,4 +1,4 @@
-"""What a recipe for an embedded prior gives the training."""
+"""What a task for an embedded prior gives the training."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from occfusion.stages.prior import Batch
 Net = TypeVar("Net", bound=nn.Module)
 
 
-class Recipe(ABC, Generic[Net]):
+class PriorTask(ABC, Generic[Net]):
     """An interface: data, network and figures of one embedded prior.
 
     Attributes:
@@ -21,7 +21,7 @@ class Recipe(ABC, Generic[Net]):
         size: pixels a side of the crop.
         data: what it learns from, for the card.
         columns: names of its figures.
-        version: of what its network is told and predicts.
+        version: of its network's conditions and prediction.
     """
 
     kind: str

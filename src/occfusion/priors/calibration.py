@@ -19,7 +19,7 @@ from occfusion.geometry.distance import nearest_set, signed_distance
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
 from occfusion.observation.evidence import Evidence, person_size
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.priors.logistic import fit_logistic, sigmoid
 from occfusion.priors.masks import MaskPrior, checked_probability
 from occfusion.types import Camera, Frame
@@ -70,12 +70,12 @@ class Calibration:
         }
 
     def apply(
-        self, probability: NDArray[np.float32], moment: Moment, camera: Camera, body: Body
+        self, probability: NDArray[np.float32], observed_frame: ObservedFrame, camera: Camera, body: Body
     ) -> NDArray[np.float32]:
         """Returns the corrected probability, `[H, W]`."""
         if self.weights == STILL:
             return probability
-        outline = _outline(moment, camera, body)
+        outline = _outline(observed_frame, camera, body)
         scores = _features(probability, outline.depth_inside(self.thickness)) @ np.array(self.weights)
         return sigmoid(scores).astype(np.float32)
 
@@ -91,11 +91,13 @@ class _Outline:
         return self.inside + thickness[self.vertex]
 
 
-def _outline(moment: Moment, camera: Camera, body: Body) -> _Outline:
+def _outline(observed_frame: ObservedFrame, camera: Camera, body: Body) -> _Outline:
     faces = body.faces.cpu().numpy()
-    seen = rasterize_mesh(moment.motion.pixels, moment.motion.depths, faces, camera.width, camera.height)
+    seen = rasterize_mesh(
+        observed_frame.projected.pixels, observed_frame.projected.depths, faces, camera.width, camera.height
+    )
     covered = seen.face >= 0
-    metres = float(np.median(moment.motion.depths)) / float(camera.K[0, 0])
+    metres = float(np.median(observed_frame.projected.depths)) / float(camera.K[0, 0])
     corner = np.take_along_axis(
         faces[np.maximum(seen.face, 0)],
         seen.barycentrics.argmax(axis=-1)[..., None].astype(np.int64),
@@ -115,7 +117,7 @@ def _features(probability: NDArray[np.floating], depth_inside: Floats) -> Floats
 
 
 def measure_thickness(
-    moments: Sequence[Moment], read: Callable[[int], Frame], body: Body, rounds: int = 40
+    observed_frames: Sequence[ObservedFrame], read: Callable[[int], Frame], body: Body, rounds: int = 40
 ) -> Floats:
     """Returns how far clothes stand off the body at each vertex, `[V]`, metres.
 
@@ -124,12 +126,12 @@ def measure_thickness(
     """
     count = body.num_vertices
     shown, rim = np.zeros(count), np.zeros(count)
-    for position, moment in enumerate(moments):
+    for position, observed_frame in enumerate(observed_frames):
         frame = read(position)
         visible = frame.visible_mask.cpu().numpy()
-        outline = _outline(moment, frame.camera, body)
-        metres = float(np.median(moment.motion.depths)) / float(frame.camera.K[0, 0])
-        known = visible | moment.evidence.background
+        outline = _outline(observed_frame, frame.camera, body)
+        metres = float(np.median(observed_frame.projected.depths)) / float(frame.camera.K[0, 0])
+        known = visible | observed_frame.evidence.background
         edge = (outline.inside < 0) & (outline.inside > -1.0 * metres)
         # a stretch of outline counts only where what lies before it is known
         near = (outline.inside < 0) & (outline.inside > -0.5 * NEAR)
@@ -162,34 +164,36 @@ def _spread(total: Floats, weight: Floats, faces: NDArray[np.int64], rounds: int
 
 
 def calibrate(
-    prior: MaskPrior, moments: Sequence[Moment], read: Callable[[int], Frame], body: Body
+    prior: MaskPrior, observed_frames: Sequence[ObservedFrame], read: Callable[[int], Frame], body: Body
 ) -> Calibration:
     """Returns the calibration of a prior to a scene; the prior's answer is left as it is where nothing can be learnt.
 
     Args:
         prior: to be calibrated.
-        moments: of all training frames, in order.
+        observed_frames: of all training frames, in order.
         read: gives the training frame at a position.
         body: of the scene.
     """
-    thickness = measure_thickness(moments, read, body)
-    occluded = [k for k, moment in enumerate(moments) if moment.evidence.occluded]
-    shown = sorted(range(len(moments)), key=lambda k: moments[k].evidence.hidden_share)[: 2 * FRAMES]
+    thickness = measure_thickness(observed_frames, read, body)
+    occluded = [k for k, observed_frame in enumerate(observed_frames) if observed_frame.evidence.occluded]
+    shown = sorted(range(len(observed_frames)), key=lambda k: observed_frames[k].evidence.hidden_share)[
+        : 2 * FRAMES
+    ]
     chosen = sorted(shown)[:: max(1, len(shown) // FRAMES)][:FRAMES]
     rng = np.random.default_rng(0)
     rows, labels = [], []
     for position in chosen:
-        moment, frame = moments[position], read(position)
-        borrowed = moments[int(rng.choice(occluded))]
-        hidden = _borrowed(borrowed, moment, rng)
+        observed_frame, frame = observed_frames[position], read(position)
+        borrowed = observed_frames[int(rng.choice(occluded))]
+        hidden = _borrowed(borrowed, observed_frame, rng)
         visible = frame.visible_mask.cpu().numpy()
-        known = visible | moment.evidence.background
-        observation = moment.observation(frame, body)
+        known = visible | observed_frame.evidence.background
+        observation = observed_frame.observation(frame, body)
         observation = replace(
-            observation, visible=visible & ~hidden, background=moment.evidence.background & ~hidden
+            observation, visible=visible & ~hidden, background=observed_frame.evidence.background & ~hidden
         )
         answer = checked_probability(prior, observation)
-        depth = _outline(moment, frame.camera, body).depth_inside(thickness)
+        depth = _outline(observed_frame, frame.camera, body).depth_inside(thickness)
         asked = hidden & known & (np.abs(depth) < NEAR)
         rows.append(_features(answer[asked], depth[asked]))
         labels.append(visible[asked])
@@ -206,11 +210,14 @@ def calibrate(
     )
 
 
-def _borrowed(occluded: Moment, moment: Moment, rng: np.random.Generator) -> Mask:
+def _borrowed(occluded: ObservedFrame, observed_frame: ObservedFrame, rng: np.random.Generator) -> Mask:
     """Returns what is unknown of one frame, moved with the body to about where it is in another."""
     unknown = _unknown(occluded.evidence)
-    middle = [0.5 * (m.motion.pixels.min(axis=0) + m.motion.pixels.max(axis=0)) for m in (occluded, moment)]
-    size = person_size(moment.evidence.hidden | ~moment.evidence.background)
+    middle = [
+        0.5 * (m.projected.pixels.min(axis=0) + m.projected.pixels.max(axis=0))
+        for m in (occluded, observed_frame)
+    ]
+    size = person_size(observed_frame.evidence.hidden | ~observed_frame.evidence.background)
     shift = middle[1] - middle[0] + SHIFT * size * rng.uniform(-1.0, 1.0, 2)
     move = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
     moved = cv2.warpAffine(unknown.astype(np.uint8), move, unknown.shape[::-1], flags=cv2.INTER_NEAREST)

@@ -14,7 +14,7 @@ from occfusion.observation.crop import PersonView
 from occfusion.priors.distillation import surrogate, weight
 
 T = TypeVar("T")
-"""What a prior makes of a view once, to be asked of it many times."""
+"""What a prior makes of a view once, to condition it on many times."""
 
 
 class ScorePrior(ABC, Generic[T]):
@@ -37,8 +37,8 @@ class ScorePrior(ABC, Generic[T]):
         """Returns all that decides its answers: plain numbers and text."""
 
     @abstractmethod
-    def look(self, view: PersonView) -> T:
-        """Returns what it is told of a view of its size."""
+    def encode_conditions(self, view: PersonView) -> T:
+        """Returns what it is conditioned on for a view of its size."""
 
     @abstractmethod
     def encode(self, occupancy: Tensor) -> Tensor:
@@ -53,13 +53,13 @@ class ScorePrior(ABC, Generic[T]):
         """Returns alpha and sigma of `x_t = alpha x + sigma noise` at a time, 0..1."""
 
     @abstractmethod
-    def predict_noise(self, noisy: Tensor, t: float, told: T, guidance: float) -> Tensor:
+    def predict_noise(self, noisy: Tensor, t: float, conditions: T, guidance: float) -> Tensor:
         """Returns the noise that it sees in `noisy [1, C, h, w]`, float32, without a graph.
 
         Args:
             noisy: `x_t`.
             t: the time.
-            told: of `look`.
+            conditions: of `encode_conditions`.
             guidance: 1: with the conditions, 0: without; each then takes one evaluation, anything else two.
         """
 
@@ -78,7 +78,7 @@ class Draw:
 
 
 def distil(
-    prior: ScorePrior[T], occupancy: Tensor, mask: Tensor, told: T, draw: Draw,
+    prior: ScorePrior[T], occupancy: Tensor, mask: Tensor, conditions: T, draw: Draw,
     *, weighting: str, guidance: float, reduction: str,
 ) -> Tensor:  # fmt: skip
     """Returns the distillation loss of an occupancy map, a scalar; see `distillation.surrogate`.
@@ -89,7 +89,7 @@ def distil(
         prior: whose score.
         occupancy: `[S, S]`, 0..1, S the prior's size.
         mask: pixels whose gradient is wanted, `[S, S]`, 0 or 1.
-        told: of `prior.look`.
+        conditions: of `prior.encode_conditions`.
         draw: time and noise.
         weighting: of `distillation.WEIGHTINGS`.
         guidance: of `predict_noise`.
@@ -100,7 +100,7 @@ def distil(
     signal = prior.encode(held[None, None])
     alpha, sigma = prior.levels(draw.t)
     noisy = alpha * signal.detach() + sigma * draw.noise
-    predicted = prior.predict_noise(noisy, draw.t, told, guidance)
+    predicted = prior.predict_noise(noisy, draw.t, conditions, guidance)
     gradient = weight(weighting, sigma) * (predicted - draw.noise)
     place = F.adaptive_avg_pool2d(mask[None, None], prior.signal_shape[1:])
     return surrogate(signal, gradient, place, reduction)

@@ -48,8 +48,8 @@ def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse
     )
     L.seed_everything(own.seed, verbose=False)  # whatever was trained before it in this process
     run_ = compose_run(own, folder_chosen_by_user=True)
-    assert run_.moments is not None
+    assert run_.observed_frames is not None
     run_stages(run_)
     positions = range(len(run_.data.train_indices))
     frames = [run_.data.train_frame(k, complete="init" in run_.plan.stages) for k in positions]
-    return Coarse(run_.avatar.eval(), frames, run_.moments, run_.renderer)
+    return Coarse(run_.avatar.eval(), frames, run_.observed_frames, run_.renderer)

@@ -13,7 +13,7 @@ from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.human import Body
-from occfusion.observation.frames import Moment, look
+from occfusion.observation.frames import ObservedFrame, observe_frames
 from occfusion.priors.build_prior import make_mask_prior
 from occfusion.priors.calibration import calibrate
 from occfusion.priors.masks import MaskPrior, TruthMasks
@@ -25,9 +25,9 @@ from occfusion.stages.interruption import Interrupted
 from occfusion.types import Frame
 
 
-def look_at_training_frames(data: HumanDataModule, body: Body) -> list[Moment]:
+def observe_training_frames(data: HumanDataModule, body: Body) -> list[ObservedFrame]:
     """Returns what masks and poses say of all training frames."""
-    return look((data.train_frame(k, truth=False) for k in range(len(data.train_indices))), body)
+    return observe_frames((data.train_frame(k, truth=False) for k in range(len(data.train_indices))), body)
 
 
 def run_init(
@@ -35,7 +35,7 @@ def run_init(
     folder: Path,
     data: HumanDataModule,
     body: Body,
-    moments: Sequence[Moment],
+    observed_frames: Sequence[ObservedFrame],
     data_hash: str,
     device: torch.device,
 ) -> None:
@@ -56,12 +56,12 @@ def run_init(
         return data.train_frame(position, truth=False)
 
     prior = _make_prior(settings, data, device)
-    stage = InitStage(prior, body, moments, read, settings.init, masks, {"data": data_hash})
+    stage = InitStage(prior, body, observed_frames, read, settings.init, masks, {"data": data_hash})
     record = folder / "init" / "stage.json"
 
     def complete(wanted: Sequence[int]) -> None:
         if wanted and settings.init.calibrate and settings.init.source == "prior":
-            stage.calibration = calibrate(prior, moments, read, body)
+            stage.calibration = calibrate(prior, observed_frames, read, body)
         if wanted:
             signal = predict_frames(stage, read, wanted, progress=settings.trainer.enable_progress_bar)
             if signal is not None and stage.wanted:
@@ -88,7 +88,7 @@ def _finish(stage: InitStage, record: Path, started: float) -> None:
     stage.write_manifest(consistency=consistency)
     completed = sum(r["status"].startswith("completed") for r in stage.records.values())
     record.parent.mkdir(parents=True, exist_ok=True)
-    seconds, frames = time.monotonic() - started, len(stage.moments)
+    seconds, frames = time.monotonic() - started, len(stage.observed_frames)
     write_json(
         record,
         {"train_seconds": seconds, "completed": completed, "frames": frames, "consistency": consistency},
@@ -111,7 +111,7 @@ def _taken(stage: InitStage, shared: Path, record: Path) -> bool:
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, {**made, "shared": str(shared)})
     print(
-        f"init: {made.get('completed')} of {len(stage.moments)} masks completed before, taken from {shared}"
+        f"init: {made.get('completed')} of {len(stage.observed_frames)} masks completed before, taken from {shared}"
     )
     return True
 

@@ -16,7 +16,7 @@ from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.observation.key_light import KeyLight, find_key_light
 from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
 from occfusion.plan.decisions import may_leave_out_networks, with_everything
@@ -24,7 +24,7 @@ from occfusion.plan.make import Plan, make_plan, reached_sh_degree
 from occfusion.priors.build_prior import check_score_prior
 from occfusion.run.compose import make_body, make_data
 from occfusion.run.folder import claim_run_folder
-from occfusion.run.masks import look_at_training_frames
+from occfusion.run.masks import observe_training_frames
 from occfusion.settings.schema import Settings
 from occfusion.types import Frame, Rendering
 
@@ -41,7 +41,7 @@ class Run:
         avatar: as far as it is trained.
         perceptual: the perceptual metric, None where neither training nor evaluation asks for it.
         renderer: draws avatars.
-        moments: what masks and poses say of the training frames; None where nothing depends on it.
+        observed_frames: what masks and poses say of the training frames; None where nothing depends on it.
         data_hash: of all that is read.
     """
 
@@ -52,7 +52,7 @@ class Run:
     avatar: Avatar
     perceptual: PerceptualMetric | None
     renderer: Renderer
-    moments: list[Moment] | None
+    observed_frames: list[ObservedFrame] | None
     data_hash: str
 
     @property
@@ -73,13 +73,13 @@ class Observed:
     Attributes:
         summary: what was selected and found.
         registered: whether pictures lie where the cameras say; None where that is not to be measured.
-        moments: what masks and poses say of the training frames; None where nothing depends on it.
+        frames: what masks and poses say of the training frames; None where nothing depends on it.
         key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
     """
 
     summary: dict[str, Any]
     registered: SceneRegistration | None
-    moments: list[Moment] | None
+    frames: list[ObservedFrame] | None
     key_light: KeyLight | None
 
 
@@ -99,7 +99,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         settings,
         observed.summary,
         renderer.backend,
-        observed.moments,
+        observed.frames,
         observed.key_light,
         observed.registered,
         device,
@@ -128,7 +128,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         avatar=_make_avatar(plan.settings, data, body, observed.key_light),
         perceptual=perceptual,
         renderer=renderer,
-        moments=observed.moments,
+        observed_frames=observed.frames,
         data_hash=observed.summary["hash"],
     )
 
@@ -148,13 +148,13 @@ def observe(settings: Settings, data: HumanDataModule, body: Body) -> Observed:
     are_judged = (
         is_prior_asked or may_leave_out_networks(settings) or optim.mask_hidden < 1.0 or optim.key_light
     )
-    moments = look_at_training_frames(data, body) if are_judged else None
+    observed_frames = observe_training_frames(data, body) if are_judged else None
     key_light = None
-    if moments is not None and optim.key_light:
-        key_light = find_key_light(lambda k: data.train_frame(k, truth=False), moments, faces)
-    if moments is not None and settings.plan == "full":
-        moments = with_everything(moments)
-    return Observed(data.summary(), registered, moments, key_light)
+    if observed_frames is not None and optim.key_light:
+        key_light = find_key_light(lambda k: data.train_frame(k, truth=False), observed_frames, faces)
+    if observed_frames is not None and settings.plan == "full":
+        observed_frames = with_everything(observed_frames)
+    return Observed(data.summary(), registered, observed_frames, key_light)
 
 
 def _make_avatar(planned: Settings, data: HumanDataModule, body: Body, key_light: KeyLight | None) -> Avatar:

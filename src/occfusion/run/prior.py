@@ -17,9 +17,9 @@ from torch.utils.data import DataLoader, IterableDataset
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.files.table import write_table
-from occfusion.prior_training.appearance_task import AppearanceRecipe, TrainCoarse
-from occfusion.prior_training.silhouette_task import SilhouetteRecipe
-from occfusion.prior_training.task import Recipe
+from occfusion.prior_training.appearance_task import AppearanceTask, TrainCoarse
+from occfusion.prior_training.silhouette_task import SilhouetteTask
+from occfusion.prior_training.task import PriorTask
 from occfusion.priors.embedded.network_file import save_net
 from occfusion.run.folder import claim_run_folder
 from occfusion.settings.schema import Settings, optim_hash
@@ -53,12 +53,12 @@ def run_prior_training(
     identity = hashlib.sha256(json.dumps(asdict(training), sort_keys=True).encode()).hexdigest()[:16]
     folder = claim_run_folder(settings, identity, chosen_by_user=folder_chosen_by_user)
     place = Path(training.corpus) if training.corpus else folder / "corpus"
-    recipe = _make_recipe(training, place, settings, train_coarse)
-    recipe.prepare()
+    task = _make_task(training, place, settings, train_coarse)
+    task.prepare()
     L.seed_everything(settings.seed, verbose=False)  # the same network whether the corpus was there or not
-    stage = PriorStage(recipe.make_net(), training, seed=settings.seed)
+    stage = PriorStage(task.make_net(), training, seed=settings.seed)
     guard = SignalGuard()
-    curve = PriorCurve(folder / "error_vs_time.csv", training, recipe)
+    curve = PriorCurve(folder / "error_vs_time.csv", training, task)
     checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
     logged = Place(folder, stage.name, checkpoint, is_trial=settings.trainer.fast_dev_run)
     logs = make_logs(settings.logger, logged, asdict(settings))
@@ -73,35 +73,35 @@ def run_prior_training(
         fast_dev_run=settings.trainer.fast_dev_run, logger=logs.loggers or False, enable_checkpointing=False,
         enable_model_summary=False, enable_progress_bar=settings.trainer.enable_progress_bar, callbacks=callbacks,
     )  # fmt: skip
-    loader = DataLoader(_Steps(recipe.batch, lambda: trainer.global_step), batch_size=None)
+    loader = DataLoader(_Steps(task.batch, lambda: trainer.global_step), batch_size=None)
     with guard:
         trainer.fit(stage, loader, ckpt_path=checkpoint, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(folder / "last.ckpt"))
     trained = stage.finished()
-    figures = recipe.finish(trained, stage.device)
+    figures = task.finish(trained, stage.device)
     card = {
         "training": asdict(training) | {"seed": settings.seed},
         "train_seconds": round(stage.clock.seconds, 1),
         "threads": torch.get_num_threads(),
         "validation": curve.latest() | figures,
-        "data": recipe.data,
+        "data": task.data,
     }
     save_net(
-        folder / WEIGHTS, trained, recipe.kind, recipe.size, training.widths, training.depth, card, recipe.version
+        folder / WEIGHTS, trained, task.kind, task.size, training.widths, training.depth, card, task.version
     )  # fmt: skip
     write_json(folder / "card.json", card)
     print(f"weights: {folder / WEIGHTS}")
     return card
 
 
-def _make_recipe(
+def _make_task(
     training: PriorTrainingSettings, place: Path, settings: Settings, train_coarse: TrainCoarse
-) -> Recipe[Any]:
-    if training.network == SilhouetteRecipe.kind:
-        return SilhouetteRecipe(training, place, settings.seed)
-    if training.network == AppearanceRecipe.kind:
-        return AppearanceRecipe(training, place, settings.seed, optim_hash(settings), train_coarse)
+) -> PriorTask[Any]:
+    if training.network == SilhouetteTask.kind:
+        return SilhouetteTask(training, place, settings.seed)
+    if training.network == AppearanceTask.kind:
+        return AppearanceTask(training, place, settings.seed, optim_hash(settings), train_coarse)
     raise ConfigError(f"prior_training.network={training.network!r}: choose silhouette or appearance")
 
 
@@ -119,24 +119,24 @@ class _Steps(IterableDataset[Batch]):
 
 
 class PriorCurve(L.Callback):
-    """A recipe's figures at times t, 2t, 4t … and at the end (`error_vs_time.csv`).
+    """A task's figures at times t, 2t, 4t … and at the end (`error_vs_time.csv`).
 
     Args:
         path: the table; rows beyond the step that a resumed run starts from are dropped.
         settings: t.
-        recipe: measures.
+        task: measures.
     """
 
-    def __init__(self, path: Path, settings: PriorTrainingSettings, recipe: Recipe[Any]) -> None:
+    def __init__(self, path: Path, settings: PriorTrainingSettings, task: PriorTask[Any]) -> None:
         self.path = path
         self._last: dict[str, Any] = {}
-        self._recipe = recipe
+        self._task = task
         self._next = settings.validation_first_second
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Returns the columns of the table."""
-        return ("step", "train_seconds", "loss", *self._recipe.columns)
+        return ("step", "train_seconds", "loss", *self._task.columns)
 
     def latest(self) -> dict[str, Any]:
         """Returns the last figures; of the table where this call had nothing left to train."""
@@ -165,7 +165,7 @@ class PriorCurve(L.Callback):
                 self._next *= 2
 
     def _measure(self, trainer: L.Trainer, stage: PriorStage[Any]) -> None:
-        figures = self._recipe.measure(stage.averaged, stage.device)
+        figures = self._task.measure(stage.averaged, stage.device)
         self._last = {
             "step": trainer.global_step,
             "train_seconds": round(stage.clock.seconds, 1),

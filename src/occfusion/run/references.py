@@ -18,7 +18,7 @@ from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import accumulate, paint_unseen
 from occfusion.inpaint.build_inpainter import make_inpainter
 from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.settings.schema import Settings
 from occfusion.stages.framewise import predict_frames
 from occfusion.stages.inpaint import InpaintStage
@@ -34,7 +34,7 @@ def make_references(
     folder: Path,
     data: HumanDataModule,
     avatar: Avatar,
-    moments: Sequence[Moment],
+    observed_frames: Sequence[ObservedFrame],
     identity: dict[str, str],
     renderer: Renderer,
     device: torch.device,
@@ -46,7 +46,7 @@ def make_references(
         folder: the run folder.
         data: with the complete masks.
         avatar: the coarse avatar; what no frame shows of it is given the colours of what is seen nearby.
-        moments: of all training frames.
+        observed_frames: of all training frames.
         identity: what the references depend on besides the inpainter: hashes of data and avatar.
         renderer: draws the avatar.
         device: where the inpainter runs.
@@ -55,8 +55,8 @@ def make_references(
         Interrupted: a signal stopped it; what is written stays.
     """
     started = time.monotonic()
-    if not any(moment.evidence.occluded for moment in moments):
-        print(f"refine: none of {len(moments)} frames is occluded, none is inpainted")
+    if not any(observed_frame.evidence.occluded for observed_frame in observed_frames):
+        print(f"refine: none of {len(observed_frames)} frames is occluded, none is inpainted")
         return References(folder / FOLDER, frozenset()), 0.0
 
     def read(position: int) -> Frame:
@@ -64,8 +64,8 @@ def make_references(
 
     inpainter = _make_inpainter(settings, data, device)
     place, gen_pixels = folder / FOLDER, settings.refine.gen_pixels
-    stage = InpaintStage(inpainter, avatar.eval(), moments, place, identity, renderer, gen_pixels)
-    frames = (data.train_frame(k, truth=False) for k in range(len(moments)))
+    stage = InpaintStage(inpainter, avatar.eval(), observed_frames, place, identity, renderer, gen_pixels)
+    frames = (data.train_frame(k, truth=False) for k in range(len(observed_frames)))
     stage.accumulated = accumulate(avatar, frames, renderer)
     paint_unseen(avatar, stage.accumulated)
     wanted = stage.wanted
@@ -76,7 +76,9 @@ def make_references(
         if signal is not None and stage.wanted:
             raise Interrupted(signal, str(stage.folder))
     seconds = time.monotonic() - started
-    print(f"refine: {len(wanted)} of {len(moments)} frames inpainted in {seconds:.1f} s; {stage.counted}")
+    print(
+        f"refine: {len(wanted)} of {len(observed_frames)} frames inpainted in {seconds:.1f} s; {stage.counted}"
+    )
     return stage.references, seconds
 
 

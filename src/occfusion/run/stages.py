@@ -36,7 +36,7 @@ from occfusion.stages.optim import OptimStage
 from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.refine import RefineStage
-from occfusion.stages.targets import Doubts
+from occfusion.stages.targets import UncertainMasks
 from occfusion.types import Frame
 
 WARM_UP_SAID = 0.05
@@ -62,13 +62,13 @@ def run_stages(run_: Run) -> None:
 
 def _complete_masks(run_: Run) -> None:
     """Runs the initialisation stage."""
-    assert run_.moments is not None
+    assert run_.observed_frames is not None
     run_init(
         run_.settings,
         run_.folder,
         run_.data,
         run_.avatar.body,
-        run_.moments,
+        run_.observed_frames,
         run_.data_hash,
         device_of(run_.settings),
     )
@@ -148,40 +148,42 @@ def _optim_stage(run_: Run) -> tuple[AvatarStage, float]:
         perceptual=run_.training_metric if settings.optim.lambda_lpips else None,
         densifier=_make_densifier(settings.optim, settings.optim.lambda_rgb),
         distiller=_make_distiller(run_),
-        doubts=_doubts(run_),
+        uncertain=_uncertain_masks(run_),
         renderer=run_.renderer,
         seed=settings.seed,
     )
     return stage, 0.0
 
 
-def _doubts(run_: Run) -> Doubts:
+def _uncertain_masks(run_: Run) -> UncertainMasks:
     """Returns where complete masks may be wrong, where the video was asked."""
-    found = {moment.frame: moment.evidence for moment in run_.moments or ()}
+    found = {observed_frame.index: observed_frame.evidence for observed_frame in run_.observed_frames or ()}
     hidden = {frame: own.maybe_hidden for frame, own in found.items() if own.maybe_hidden.any()}
-    unasked = {frame: mask & found[frame].background for frame, mask in hidden.items()}
-    return Doubts(hidden, unasked)
+    assumed_background = {frame: mask & found[frame].background for frame, mask in hidden.items()}
+    return UncertainMasks(hidden, assumed_background)
 
 
 def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
     """Returns the stage, its references made, and the seconds that they took."""
     settings = run_.plan.settings
     refine = settings.refine
-    assert run_.moments is not None
+    assert run_.observed_frames is not None
     identity = {"data": run_.data_hash, "avatar": file_digest(run_.folder / "optim" / "avatar.safetensors")}
     references, seconds = make_references(
         settings,
         run_.folder,
         run_.data,
         run_.avatar,
-        run_.moments,
+        run_.observed_frames,
         identity,
         run_.renderer,
         device_of(settings),
     )
-    doubts = _doubts(run_)
-    doubtful = [k for k, moment in enumerate(run_.moments) if moment.frame in doubts.hidden]
-    frames = (run_.data.train_frame(k, truth=False) for k in doubtful)
+    uncertain = _uncertain_masks(run_)
+    uncertain_frames = [
+        k for k, observed_frame in enumerate(run_.observed_frames) if observed_frame.index in uncertain.hidden
+    ]
+    frames = (run_.data.train_frame(k, truth=False) for k in uncertain_frames)
     is_held = refine.mask_target == "outline" and refine.mask_hidden > 0
     outlines = own_outlines(run_.avatar, frames, run_.renderer) if is_held else {}
     run_.avatar.gaussians.allocate_bands(planning.refined_sh_degree(settings))
@@ -189,7 +191,7 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
         run_.avatar,
         refine,
         references,
-        doubts,
+        uncertain,
         outlines,
         perceptual=run_.training_metric if refine.lambda_lpips else None,
         densifier=_make_densifier(refine, refine.lambda_rgb),
@@ -225,12 +227,12 @@ def _make_distiller(run_: Run) -> Distiller[Any] | None:
     settings = run_.plan.settings
     if not settings.optim.sds.is_used:
         return None
-    assert run_.moments is not None
+    assert run_.observed_frames is not None
     return Distiller(
         make_score_prior(settings.prior, device_of(settings)),
         settings.optim.sds,
         steps=settings.optim.steps,
-        moments=run_.moments,
+        observed_frames=run_.observed_frames,
         body=run_.avatar.body,
         renderer=run_.renderer,
         seed=settings.seed,

@@ -17,7 +17,7 @@ from occfusion.human.avatar import Avatar
 from occfusion.human.body import Body
 from occfusion.human.rendering import Renderer
 from occfusion.observation.crop import CANONICAL_ANGLES, PersonView, Square, view_canonical, view_observation
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.priors.distillation import time_at
 from occfusion.priors.score import Draw, ScorePrior, distil
 from occfusion.settings.stages import SdsSettings
@@ -31,17 +31,17 @@ KEPT_VIEWS = 128
 
 @dataclass(frozen=True)
 class _Prepared(Generic[T]):
-    """A view as the prior was told of it.
+    """A view as the prior is conditioned on it.
 
     Attributes:
-        told: of `ScorePrior.look`.
+        conditions: of `ScorePrior.encode_conditions`.
         mask: pixels that are pushed, `[S, S]`, 0 or 1.
         pushed: whether there is any.
         square: the crop in the frame; the whole picture of `camera` for a canonical view.
         camera: whose picture is the crop.
     """
 
-    told: T
+    conditions: T
     mask: Tensor
     pushed: bool
     square: Square
@@ -55,7 +55,7 @@ class Distiller(Generic[T]):
         prior: whose score is distilled.
         settings: weights, times, and where; a branch of weight zero is never computed.
         steps: of the stage, for the annealed schedule.
-        moments: of all training frames.
+        observed_frames: of all training frames.
         body: of the data set.
         renderer: draws the avatar.
         seed: of the choices.
@@ -67,7 +67,7 @@ class Distiller(Generic[T]):
         settings: SdsSettings,
         *,
         steps: int,
-        moments: Sequence[Moment],
+        observed_frames: Sequence[ObservedFrame],
         body: Body,
         renderer: Renderer,
         seed: int,
@@ -78,7 +78,7 @@ class Distiller(Generic[T]):
         self.body = body
         self._renderer = renderer
         self.seed = seed
-        self._moments = {moment.frame: moment for moment in moments}
+        self._observed_frames = {observed_frame.index: observed_frame for observed_frame in observed_frames}
         self._views: OrderedDict[Hashable, _Prepared[T]] = OrderedDict()
 
     def terms(self, avatar: Avatar, frame: Frame, alpha: Tensor, box: Box, step: int) -> dict[str, Tensor]:
@@ -139,7 +139,7 @@ class Distiller(Generic[T]):
     def _distil(self, occupancy: Tensor, view: _Prepared[T], draw: Draw) -> Tensor:
         settings = self.settings
         return distil(
-            self.prior, occupancy.to(self.prior.device), view.mask, view.told, draw,
+            self.prior, occupancy.to(self.prior.device), view.mask, view.conditions, draw,
             weighting=settings.weighting, guidance=settings.guidance, reduction=settings.reduction,
         )  # fmt: skip
 
@@ -148,7 +148,7 @@ class Distiller(Generic[T]):
     def _posed_view(self, frame: Frame) -> _Prepared[T]:
         found = self._remembered(frame.index)
         if found is None:
-            observation = self._moments[frame.index].observation(frame, self.body)
+            observation = self._observed_frames[frame.index].observation(frame, self.body)
             square, view = view_observation(observation, self.prior.size)
             found = self._remember(frame.index, view, square)
         return found
@@ -171,7 +171,7 @@ class Distiller(Generic[T]):
         mask = np.ones((view.size, view.size), np.float32) if everywhere else view.hidden
         shown = view if self.settings.evidence else replace(view, visible=None, background=None)
         found = _Prepared(
-            self.prior.look(shown), torch.from_numpy(mask).to(self.prior.device), bool(mask.any()), square,
+            self.prior.encode_conditions(shown), torch.from_numpy(mask).to(self.prior.device), bool(mask.any()), square,
             replace(view.camera, viewmat=view.camera.viewmat.float(), K=view.camera.K.float())
             .to(self.prior.device),
         )  # fmt: skip

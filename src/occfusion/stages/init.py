@@ -14,7 +14,7 @@ from occfusion.files.atomic import write_png
 from occfusion.files.images import read_mask
 from occfusion.human.body import Body
 from occfusion.observation.consistency import body_flow, smoothed, warped_iou
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.priors.calibration import Calibration
 from occfusion.priors.masks import MaskPrior, checked_probability, with_what_is_known
 from occfusion.settings.stages import InitSettings
@@ -35,7 +35,7 @@ class InitStage(FramewiseStage):
     Args:
         prior: completes masks.
         body: the body of the data set.
-        moments: of all training frames, in order.
+        observed_frames: of all training frames, in order.
         read: gives the training frame at a position.
         settings: smoothing and threshold.
         folder: where masks, uncertainty maps and the manifest go.
@@ -48,7 +48,7 @@ class InitStage(FramewiseStage):
         self,
         prior: MaskPrior,
         body: Body,
-        moments: Sequence[Moment],
+        observed_frames: Sequence[ObservedFrame],
         read: Callable[[int], Frame],
         settings: InitSettings,
         folder: Path,
@@ -57,23 +57,27 @@ class InitStage(FramewiseStage):
         super().__init__(folder, {**identity, **vars(settings), **prior.describe()})
         # wrapped in tuples so that neither is part of this module's state
         self._prior, self._body = (prior,), (body,)
-        self.moments = moments
+        self.observed_frames = observed_frames
         self.settings = settings
         self.calibration: Calibration | None = None
         self._read = read
-        self._positions = {moment.frame: k for k, moment in enumerate(moments)}
+        self._positions = {observed_frame.index: k for k, observed_frame in enumerate(observed_frames)}
         self._probabilities: dict[int, NDArray[np.float32]] = {}
 
     @property
     def wanted(self) -> list[int]:
         """Positions of the frames that are not written yet."""
-        return [k for k, moment in enumerate(self.moments) if _name(moment.frame) not in self.records]
+        return [
+            k
+            for k, observed_frame in enumerate(self.observed_frames)
+            if _name(observed_frame.index) not in self.records
+        ]
 
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
         """Completes and writes the mask of one frame; returns its record."""
         position = self._positions[frame.index]
-        evidence = self.moments[position].evidence
+        evidence = self.observed_frames[position].evidence
         visible = frame.visible_mask.cpu().numpy()
         record: dict[str, Any] = {"hidden_share": round(evidence.hidden_share, 4)}
         if evidence.occluded:
@@ -98,12 +102,12 @@ class InitStage(FramewiseStage):
     def _probability(self, position: int) -> NDArray[np.float32]:
         """Returns the prior's answer for a frame by itself; the last few are remembered."""
         if position not in self._probabilities:
-            moment, frame = self.moments[position], self._read(position)
-            if moment.evidence.occluded:
-                observation = moment.observation(frame, self._body[0])
+            observed_frame, frame = self.observed_frames[position], self._read(position)
+            if observed_frame.evidence.occluded:
+                observation = observed_frame.observation(frame, self._body[0])
                 answer = checked_probability(self._prior[0], observation)
                 if self.calibration is not None:
-                    answer = self.calibration.apply(answer, moment, frame.camera, self._body[0])
+                    answer = self.calibration.apply(answer, observed_frame, frame.camera, self._body[0])
                     answer = with_what_is_known(answer, observation)
             else:
                 answer = frame.visible_mask.cpu().numpy().astype(np.float32)
@@ -114,18 +118,20 @@ class InitStage(FramewiseStage):
 
     def _smoothed(self, position: int, visible: NDArray[np.bool_]) -> NDArray[np.float32]:
         """Returns the probability averaged along the body's motion with the frames before and after."""
-        own, moment = self._probability(position), self.moments[position]
+        own, observed_frame = self._probability(position), self.observed_frames[position]
         if self.settings.smoothing == 0.0:
             return own
         faces = self._body[0].faces.cpu().numpy()
         neighbours = []
         for other in (position - 1, position + 1):
-            if 0 <= other < len(self.moments):
-                flow = body_flow(moment.motion, self.moments[other].motion, faces, *own.shape)
+            if 0 <= other < len(self.observed_frames):
+                flow = body_flow(
+                    observed_frame.projected, self.observed_frames[other].projected, faces, *own.shape
+                )
                 neighbours.append((self._probability(other), flow))
         mean = smoothed(own, neighbours, self.settings.smoothing)
         # only what is not known is smoothed
-        return np.where(moment.evidence.background | visible, own, mean)
+        return np.where(observed_frame.evidence.background | visible, own, mean)
 
     def write_manifest(self, **more: Any) -> None:
         """Writes what was done, with what; the calibration too."""
@@ -140,11 +146,13 @@ class InitStage(FramewiseStage):
         """
         faces = self._body[0].faces.cpu().numpy()
         scores = []
-        for before, now in zip(self.moments[:-1], self.moments[1:], strict=True):
+        for before, now in zip(self.observed_frames[:-1], self.observed_frames[1:], strict=True):
             if not now.evidence.occluded:
                 continue
-            mask, earlier = (read_mask(mask_path(self.folder, moment.frame)) for moment in (now, before))
-            flow = body_flow(now.motion, before.motion, faces, *mask.shape)
+            mask, earlier = (
+                read_mask(mask_path(self.folder, observed_frame.index)) for observed_frame in (now, before)
+            )
+            flow = body_flow(now.projected, before.projected, faces, *mask.shape)
             scores.append(warped_iou(mask, earlier, flow, ~now.evidence.background))
         known = [score for score in scores if score is not None]
         return float(np.mean(known)) if known else None

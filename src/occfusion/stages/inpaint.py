@@ -14,7 +14,7 @@ from occfusion.human.avatar import Avatar
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.partial import Inpainter, checked_picture, take_partial
-from occfusion.observation.frames import Moment
+from occfusion.observation.frames import ObservedFrame
 from occfusion.stages.framewise import FramewiseStage
 from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
 from occfusion.types import Frame
@@ -29,7 +29,7 @@ class InpaintStage(FramewiseStage):
     Args:
         inpainter: paints what is hidden.
         avatar: the coarse avatar.
-        moments: of all training frames, in order.
+        observed_frames: of all training frames, in order.
         folder: where pictures, regions and the manifest go.
         identity: what the pictures depend on besides the inpainter: hashes of data and avatar.
         renderer: draws the avatar.
@@ -45,7 +45,7 @@ class InpaintStage(FramewiseStage):
         self,
         inpainter: Inpainter,
         avatar: Avatar,
-        moments: Sequence[Moment],
+        observed_frames: Sequence[ObservedFrame],
         folder: Path,
         identity: dict[str, Any],
         renderer: Renderer,
@@ -57,16 +57,18 @@ class InpaintStage(FramewiseStage):
         self._gen_pixels = gen_pixels
         # wrapped in tuples so that neither is part of this module's state
         self._inpainter, self._avatar = (inpainter,), (avatar,)
-        self.moments = moments
+        self.observed_frames = observed_frames
         self._renderer = renderer
-        self._positions = {moment.frame: k for k, moment in enumerate(moments)}
+        self._positions = {observed_frame.index: k for k, observed_frame in enumerate(observed_frames)}
         self.accumulated: Accumulated | None = None
 
     @property
     def wanted(self) -> list[int]:
         """Positions of the occluded frames that are not written yet."""
-        occluded = (k for k, moment in enumerate(self.moments) if moment.evidence.occluded)
-        return [k for k in occluded if f"{self.moments[k].frame:06d}" not in self.records]
+        occluded = (
+            k for k, observed_frame in enumerate(self.observed_frames) if observed_frame.evidence.occluded
+        )
+        return [k for k in occluded if f"{self.observed_frames[k].index:06d}" not in self.records]
 
     @property
     def references(self) -> References:
@@ -86,9 +88,9 @@ class InpaintStage(FramewiseStage):
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
         """Inpaints and writes one frame; returns its record."""
-        avatar, moment = self._avatar[0], self.moments[self._positions[frame.index]]
+        avatar, observed_frame = self._avatar[0], self.observed_frames[self._positions[frame.index]]
         assert self.accumulated is not None  # set by whoever starts the stage, once it is known to be needed
-        observation = moment.observation(frame, avatar.body)
+        observation = observed_frame.observation(frame, avatar.body)
         partial = take_partial(avatar, self.accumulated, frame, observation, self._renderer)
         picture, painted = checked_picture(self._inpainter[0], partial), partial.region
         region = partial.unseen if self._gen_pixels == "unseen" else painted

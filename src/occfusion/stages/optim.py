@@ -15,7 +15,7 @@ from occfusion.quality import losses
 from occfusion.settings.stages import OptimSettings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.distil import Distiller
-from occfusion.stages.targets import Doubts, Target, crop_frame, mask_weights
+from occfusion.stages.targets import Target, UncertainMasks, crop_frame, mask_weights
 from occfusion.types import Box, Frame, Rendering
 
 
@@ -30,7 +30,7 @@ class OptimStage(AvatarStage):
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
         densifier: densification; None exactly when `settings.densify` is false.
         distiller: score distillation; None where none of its terms has a weight.
-        doubts: where complete masks may be wrong; asked only where `settings.mask_hidden` is not 1.
+        uncertain: where complete masks may be wrong; asked only where `settings.mask_hidden` is not 1.
         renderer: draws the avatar.
         seed: decides the perceptual crops, step by step.
     """
@@ -45,7 +45,7 @@ class OptimStage(AvatarStage):
         perceptual: PerceptualMetric | None,
         densifier: Densifier | None,
         distiller: Distiller[Any] | None = None,
-        doubts: Doubts | None = None,
+        uncertain: UncertainMasks | None = None,
         renderer: Renderer,
         seed: int,
     ) -> None:
@@ -54,11 +54,11 @@ class OptimStage(AvatarStage):
         )
         self.settings = settings
         self.distiller = distiller
-        self.doubts = doubts or Doubts()
+        self.uncertain = uncertain or UncertainMasks()
 
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.2: photometric ones and, with a distiller, that of the prior."""
-        weights = mask_weights(frame, box, self.doubts, self.settings.mask_hidden)
+        weights = mask_weights(frame, box, self.uncertain, self.settings.mask_hidden)
         terms = self._photometric(rendering, crop_frame(frame, box), weights)
         if self.distiller is not None:
             terms |= self.distiller.terms(self.avatar, frame, rendering.alpha, box, self.global_step)

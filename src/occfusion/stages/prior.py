@@ -26,7 +26,7 @@ class Batch(Protocol):
 
     @property
     def conditions(self) -> Any:
-        """What the network is told of them."""
+        """What the network is conditioned on."""
         ...
 
     @property

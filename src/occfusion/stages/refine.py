@@ -13,7 +13,7 @@ from occfusion.quality import losses
 from occfusion.settings.stages import RefineSettings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.references import References
-from occfusion.stages.targets import Doubts, Masks, crop_frame, mask_weights, with_outline
+from occfusion.stages.targets import Masks, UncertainMasks, crop_frame, mask_weights, with_outline
 from occfusion.types import Box, Frame, Rendering
 
 
@@ -24,7 +24,7 @@ class RefineStage(AvatarStage):
         avatar: the avatar of the optimisation stage, trained on in place.
         settings: weights, schedules and rates.
         references: the inpainted frames; a frame without one shows the whole person.
-        doubts: where complete masks may be wrong.
+        uncertain: where complete masks may be wrong.
         outlines: the avatar's own at the hand-over, which the mask term holds it to there, also where no prior was
             asked; empty: to complete masks.
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
@@ -41,7 +41,7 @@ class RefineStage(AvatarStage):
         avatar: Avatar,
         settings: RefineSettings,
         references: References,
-        doubts: Doubts,
+        uncertain: UncertainMasks,
         outlines: Masks,
         *,
         perceptual: PerceptualMetric | None,
@@ -57,7 +57,7 @@ class RefineStage(AvatarStage):
         self.settings = settings
         self.references = references
         # no prior is asked for an outline
-        self.doubts, self.outlines = Doubts(doubts.hidden) if outlines else doubts, outlines
+        self.uncertain, self.outlines = UncertainMasks(uncertain.hidden) if outlines else uncertain, outlines
 
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.3: L1 on M, L2 of the occupancy, L1 on R, and the perceptual one.
@@ -75,8 +75,8 @@ class RefineStage(AvatarStage):
             terms["rgb"] = losses.l1(rgb, target.rgb, target.visible_mask)
         if settings.lambda_mask:
             unseen = None if reference is None or settings.gen_pixels != "unseen" else reference.region
-            weights = mask_weights(frame, box, self.doubts, settings.mask_hidden, unseen)
-            mask = with_outline(target.mask, frame, box, self.doubts, self.outlines, unseen)
+            weights = mask_weights(frame, box, self.uncertain, settings.mask_hidden, unseen)
+            mask = with_outline(target.mask, frame, box, self.uncertain, self.outlines, unseen)
             terms["mask"] = losses.l2(rendering.alpha, mask.to(rgb.dtype), weights=weights)
         if settings.lambda_gen and reference is not None:
             terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)

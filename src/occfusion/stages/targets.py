@@ -34,26 +34,26 @@ Masks = Mapping[int, NDArray[np.bool_]]
 
 
 @dataclass(frozen=True)
-class Doubts:
+class UncertainMasks:
     """Where complete masks may be wrong; frames that show a whole person have none.
 
     Attributes:
         hidden: what neither shows the person nor is background for certain.
-        unasked: what of that was taken for background when masks were completed, so that a complete mask, or the lack
-            of one, says nothing there.
+        assumed_background: what of that was taken for background when masks were completed, so that a complete mask,
+            or the lack of one, says nothing there.
     """
 
     hidden: Masks = field(default_factory=dict)
-    unasked: Masks = field(default_factory=dict)
+    assumed_background: Masks = field(default_factory=dict)
 
     def of(self, frame: Frame, box: Box, unseen: Tensor | None = None) -> Tensor | None:
-        """Returns the doubtful pixels of a window but for those of `unseen`, bool `[h, w]`; None for a whole person."""
+        """Returns the uncertain pixels of a window but those of `unseen`, bool `[h, w]`; None for a whole person."""
         found = _window(self.hidden, frame, box)
         return found if found is None or unseen is None else found & ~unseen
 
 
 def mask_weights(
-    frame: Frame, box: Box, doubts: Doubts, hidden: float, unseen: Tensor | None = None
+    frame: Frame, box: Box, uncertain: UncertainMasks, hidden: float, unseen: Tensor | None = None
 ) -> Tensor | None:
     """Returns how much each pixel of the window `box` counts in the mask term, `[h, w]`; None where all count fully.
 
@@ -63,21 +63,28 @@ def mask_weights(
     Args:
         frame: a training frame.
         box: a window of it.
-        doubts: of all frames.
-        hidden: weight of the doubtful pixels; below 1, those that no prior was asked about count for nothing.
+        uncertain: of all frames.
+        hidden: weight of the uncertain pixels; below 1, those that no prior was asked about count for nothing.
         unseen: pixels of the window that no frame shows, which count fully: a complete mask is all there is to go by
             there; bool `[h, w]`.
     """
-    doubtful = doubts.of(frame, box, unseen)
-    if doubtful is None or hidden == 1.0:
+    uncertain_pixels = uncertain.of(frame, box, unseen)
+    if uncertain_pixels is None or hidden == 1.0:
         return None
-    weights = torch.where(doubtful, hidden, 1.0)
-    unasked = _window(doubts.unasked, frame, box)
-    return weights if unasked is None else torch.where(unasked & doubtful, 0.0, weights)
+    weights = torch.where(uncertain_pixels, hidden, 1.0)
+    assumed_background = _window(uncertain.assumed_background, frame, box)
+    if assumed_background is None:
+        return weights
+    return torch.where(assumed_background & uncertain_pixels, 0.0, weights)
 
 
 def with_outline(
-    mask: Tensor, frame: Frame, box: Box, doubts: Doubts, outlines: Masks, unseen: Tensor | None = None
+    mask: Tensor,
+    frame: Frame,
+    box: Box,
+    uncertain: UncertainMasks,
+    outlines: Masks,
+    unseen: Tensor | None = None,
 ) -> Tensor:
     """Returns a window's complete mask, with an avatar's outline where that is in doubt, bool `[h, w]`.
 
@@ -85,12 +92,14 @@ def with_outline(
         mask: the complete mask of the window, bool `[h, w]`.
         frame: a training frame.
         box: a window of it.
-        doubts: of all frames.
+        uncertain: of all frames.
         outlines: the avatar's; in a frame without one the complete mask stays.
         unseen: see `mask_weights`; the complete mask stays there.
     """
-    outline, doubtful = _window(outlines, frame, box), doubts.of(frame, box, unseen)
-    return mask if outline is None or doubtful is None else torch.where(doubtful, outline, mask)
+    outline, uncertain_pixels = _window(outlines, frame, box), uncertain.of(frame, box, unseen)
+    return (
+        mask if outline is None or uncertain_pixels is None else torch.where(uncertain_pixels, outline, mask)
+    )
 
 
 def _window(masks: Masks, frame: Frame, box: Box) -> Tensor | None:

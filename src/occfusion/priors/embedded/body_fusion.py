@@ -1,6 +1,6 @@
 """How far the answer of the silhouette prior and the body mesh are each believed, by how the mesh fits what is seen.
 
-The network is told of bodies that may be wrong and stays careful with those that are exact. What is seen beside the
+The network is given bodies that may be wrong and stays careful with those that are exact. What is seen beside the
 occluder says which they are: the share of the body that lies where the background is known (a wrong pose), and the
 share of the person that the body does not cover (clothes). A logistic regression on both, on the answer and on the
 distance to the body's outline, gives the fused answer (stacked generalisation, Wolpert 1992).
@@ -49,7 +49,7 @@ class BodyFusion(nn.Module):
 
         Args:
             mean: posterior mean in -1..1, `[B, 1, S, S]`.
-            conditions: what the network was told.
+            conditions: what the network was given.
         """
         fused = 0.5 + 0.5 * mean
         if torch.equal(self.weights, identity().to(self.weights)):

@@ -53,7 +53,7 @@ def save_net(
         widths: it was made with.
         depth: it was made with.
         card: data, seeds, times and figures, as JSON can hold them.
-        version: of what it is told and predicts.
+        version: of its conditions and its prediction.
     """
     tensors = {name: value.detach().cpu().half().contiguous() for name, value in net.state_dict().items()}
     content = {"network": kind, "size": size, "widths": widths, "depth": depth, "version": version}
@@ -77,7 +77,7 @@ def load_net(
         size: pixels a side of its crop.
         make: builds it from widths and depth.
         setting: that names the file, for errors.
-        version: of what it is told and predicts; files without one are of version 1.
+        version: of its conditions and its prediction; files without one are of version 1.
 
     Raises:
         DataError: the file is missing, damaged, of another network or version, or its values do not fit its hash.

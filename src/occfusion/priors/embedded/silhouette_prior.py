@@ -70,7 +70,7 @@ class EmbeddedMaskPrior(MaskPrior):
         return square.put(window, height, width, 0.0)
 
     def conditions(self, observation: Observation) -> tuple[Square, Conditions]:
-        """Returns the crop of a frame and what the network is told of it."""
+        """Returns the crop of a frame and what the network is conditioned on."""
         square, view = view_observation(observation, self.size)
         return square, make_view_conditions(view).to(self.device)
 
@@ -94,7 +94,7 @@ class EmbeddedMaskPrior(MaskPrior):
 
 
 def make_view_conditions(view: PersonView) -> Conditions:
-    """Returns what the network is told of a view: one crop, on the CPU; what is not known is zero."""
+    """Returns what the network is conditioned on for a view: one crop, on the CPU; what is not known is zero."""
     body = view.body()
     seen = view.seen(body)
     unknown = np.zeros((view.size, view.size), np.float32)
@@ -133,7 +133,7 @@ class EmbeddedScore(ScorePrior[Conditions]):
         """Returns the hash of the weights."""
         return {"prior": self.name, "weights_sha256": self.card["sha256"]}
 
-    def look(self, view: PersonView) -> Conditions:
+    def encode_conditions(self, view: PersonView) -> Conditions:
         """Returns the conditions of the network."""
         return make_view_conditions(view).to(self.device)
 
@@ -147,15 +147,15 @@ class EmbeddedScore(ScorePrior[Conditions]):
         return float(alpha), float(sigma)
 
     @torch.no_grad()
-    def predict_noise(self, noisy: Tensor, t: float, told: Conditions, guidance: float) -> Tensor:
+    def predict_noise(self, noisy: Tensor, t: float, conditions: Conditions, guidance: float) -> Tensor:
         """Returns the noise; without conditions means without any, the pose included."""
         if guidance == 1.0:
-            return self._predict(noisy, t, told)
-        unconditional = self._predict(noisy, t, told.without(*EVERYTHING))
+            return self._predict(noisy, t, conditions)
+        unconditional = self._predict(noisy, t, conditions.without(*EVERYTHING))
         if guidance == 0.0:
             return unconditional
-        return guided(unconditional, self._predict(noisy, t, told), guidance)
+        return guided(unconditional, self._predict(noisy, t, conditions), guidance)
 
-    def _predict(self, noisy: Tensor, t: float, told: Conditions) -> Tensor:
+    def _predict(self, noisy: Tensor, t: float, conditions: Conditions) -> Tensor:
         times = torch.full((1,), t, dtype=noisy.dtype, device=noisy.device)
-        return clean_and_noise(noisy, self.net(noisy, times, told), times)[1]
+        return clean_and_noise(noisy, self.net(noisy, times, conditions), times)[1]

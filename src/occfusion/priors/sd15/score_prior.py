@@ -97,7 +97,7 @@ class Sd15Score(ScorePrior[Tensor]):
         hashes = dict(zip(("model_hash", "controlnet_hash"), self.hashes, strict=True))
         return {"prior": self.name, **own, "dtype": self.dtype, **hashes}
 
-    def look(self, view: PersonView) -> Tensor:
+    def encode_conditions(self, view: PersonView) -> Tensor:
         """Returns the canvas of the skeleton, `[1, 3, S, S]`, 0..1; self-occluded joints are left out."""
         canvas = draw_keypoints(view.seen(view.body()), view.size, view.size)
         planes = torch.from_numpy(canvas).permute(2, 0, 1)[None]
@@ -115,14 +115,14 @@ class Sd15Score(ScorePrior[Tensor]):
         return kept**0.5, (1.0 - kept) ** 0.5
 
     @torch.no_grad()
-    def predict_noise(self, noisy: Tensor, t: float, told: Tensor, guidance: float) -> Tensor:
+    def predict_noise(self, noisy: Tensor, t: float, conditions: Tensor, guidance: float) -> Tensor:
         """Returns the noise; the canvas is a condition of both predictions, the prompts tell them apart."""
         if guidance == 1.0:
-            return self._predict(noisy, t, told, self.positive)
-        negative = self._predict(noisy, t, told, self.negative)
+            return self._predict(noisy, t, conditions, self.positive)
+        negative = self._predict(noisy, t, conditions, self.negative)
         if guidance == 0.0:
             return negative
-        return guided(negative, self._predict(noisy, t, told, self.positive), guidance)
+        return guided(negative, self._predict(noisy, t, conditions, self.positive), guidance)
 
     def _predict(self, noisy: Tensor, t: float, canvas: Tensor, text: Tensor) -> Tensor:
         latent, step = noisy.to(DTYPES[self.dtype]), torch.tensor([self._step(t)], device=self.device)
