@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from occfusion.data.handful import held_out_handful, training_handful
 from occfusion.evaluation.pictures import captioned, to_uint8
 from occfusion.files.atomic import write_png
 from occfusion.human import Avatar
@@ -38,8 +37,8 @@ def main(output: Path, runs: list[Path]) -> None:
         data = make_data(settings, make_body(settings.body))
         data.setup()
         avatars = [run.avatar for run in loaded]
-        rows.append(draw_row(training_handful(data, 5)[1], avatars, True))
-        rows.append(draw_row(held_out_handful(data, 9)[4], avatars, False))
+        rows.append(draw_row(data.spread_train_frames(5)[1], avatars, True))
+        rows.append(draw_row(data.spread_test_frames(9)[4], avatars, False))
     width = max(row.shape[1] for row in rows)
     write_png(
         output, np.concatenate([np.pad(row, ((0, 4), (0, width - row.shape[1]), (0, 0))) for row in rows])

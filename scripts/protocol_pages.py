@@ -7,7 +7,9 @@ import re
 
 from settings_page import GENERATED
 
-from occfusion.data import ocmotion_protocol, presets, video_presets
+from occfusion.data.ocmotion import ocmotion_protocols
+from occfusion.data.video import video_protocols
+from occfusion.data.zju import zju_protocols
 
 MARKS = ("<!-- protocols -->\n", "<!-- /protocols -->")
 """Between them the table stands."""
@@ -19,8 +21,8 @@ def protocol_table() -> str:
         "| protocol | training camera | training frames | held-out frames | held-out cameras | masks | size | strip |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for name in presets.PRESETS:
-        said = presets.describe(name)
+    for name in zju_protocols.PRESETS:
+        said = zju_protocols.describe(name)
         keys = (
             "training camera",
             "training frames",
@@ -31,13 +33,13 @@ def protocol_table() -> str:
         )
         cells = [re.sub(r"the first \(.*\)", "a stretch, by subject", said[key]) for key in keys]
         lines.append(f"| `zju`, `{name}` | {' | '.join(cells)} | {said['strip']} |")
-    for name in ocmotion_protocol.PROTOCOLS:
-        said = ocmotion_protocol.describe_ocmotion(name)
+    for name in ocmotion_protocols.PROTOCOLS:
+        said = ocmotion_protocols.describe_ocmotion(name)
         lines.append(
             f"| `ocmotion`, `{name}` | the cut's | {said['training frames']} | {said['held-out frames']} | none "
             f"| {said['masks']} | {said['size']} | none |"
         )
-    for name in video_presets.PROTOCOLS:
+    for name in video_protocols.PROTOCOLS:
         lines.append(
             f"| `video`, `{name}` | the only one | by subject | by subject, not all apart | the same | masks "
             "| as asked | none |"
@@ -56,8 +58,8 @@ def protocols_page() -> str:
         "",
     ]
     for title, names, describe in (
-        ("ZJU-MoCap", presets.PRESETS, presets.describe),
-        ("OcMotion", ocmotion_protocol.PROTOCOLS, ocmotion_protocol.describe_ocmotion),
+        ("ZJU-MoCap", zju_protocols.PRESETS, zju_protocols.describe),
+        ("OcMotion", ocmotion_protocols.PROTOCOLS, ocmotion_protocols.describe_ocmotion),
     ):
         parts += [
             f"## {title}",
@@ -71,11 +73,11 @@ def protocols_page() -> str:
             for said in [describe(name)]
         ]
         parts.append("")
-    parts += ["## PeopleSnapshot and NeuMan", "", inspect.cleandoc(video_presets.__doc__ or ""), ""]
+    parts += ["## PeopleSnapshot and NeuMan", "", inspect.cleandoc(video_protocols.__doc__ or ""), ""]
     parts += ["| subject | training pictures | held-out pictures |", "|---|---|---|"]
     parts += [
         f"| `{name}` | {_in_words(ranges.train)} | {_in_words(ranges.test)} |"
-        for name, ranges in video_presets.INSTANT_AVATAR.items()
+        for name, ranges in video_protocols.INSTANT_AVATAR.items()
     ]
     return "\n".join(parts) + "\n"
 

@@ -188,4 +188,4 @@ def test_no_module_is_part_of_a_cycle():
 def test_a_file_is_no_longer_than_a_person_reads():
     for path in modules():
         lines = len(path.read_text(encoding="utf-8").splitlines())
-        assert lines <= 300, f"{path} has {lines} lines"
+        assert lines <= 400, f"{path} has {lines} lines"

@@ -18,7 +18,7 @@ from app.test_init import data as data
 from app.test_init import make as make
 from app.test_init import moments as moments
 from app.test_run import assert_same, parameters
-from occfusion.data.zju import ZjuDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import CheckpointError, DataError
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]

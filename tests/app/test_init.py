@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from occfusion.data.zju import ZjuDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import DataError, NumericsError
 from occfusion.files.images import read_mask
 from occfusion.human import Body, load_body

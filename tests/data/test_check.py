@@ -13,11 +13,19 @@ import pytest
 from data import layout_writers as writers
 from data.layout_writers import Source
 from occfusion.__main__ import main
-from occfusion.data.convention import rotation_matrix
-from occfusion.data.findings import Finding, guarded, listed, worst
-from occfusion.data.fit import inspect_fit
-from occfusion.data.inspection import Look, inspect_bodies, inspect_cameras, inspect_masks
-from occfusion.data.mistakes import MISTAKES
+from occfusion.data.body_convention import rotation_matrix
+from occfusion.data.checking.fit import inspect_fit
+from occfusion.data.checking.inspection import (
+    Finding,
+    Inspection,
+    guarded,
+    inspect_bodies,
+    inspect_cameras,
+    inspect_masks,
+    listed,
+    worst,
+)
+from occfusion.data.checking.overlap import CAMERA_ERRORS
 from occfusion.data.opening import open_folder
 from occfusion.data.posing import Poser
 from occfusion.errors import DataError
@@ -151,12 +159,12 @@ def test_code_in_a_file_is_reported_and_not_run(scene, capsys, tmp_path):
     assert code == 1 and "not allowed" in said and not (tmp_path / "ran").exists()
 
 
-def looked(scene: Source) -> Look:
+def inspected(scene: Source) -> Inspection:
     poser = Poser(scene.body)
-    look = Look(open_folder(scene.folder, poser)[1], poser)
+    inspection = Inspection(open_folder(scene.folder, poser)[1], poser)
     for part in (inspect_cameras, inspect_bodies, inspect_masks):
-        part(look)
-    return look
+        part(inspection)
+    return inspection
 
 
 def broken(name: str, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -174,15 +182,15 @@ def broken(name: str, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndar
     }[name]
 
 
-@pytest.mark.parametrize("name", sorted(MISTAKES))
+@pytest.mark.parametrize("name", sorted(CAMERA_ERRORS))
 def test_known_mistakes_of_cameras_are_named(name, scene):
-    look = looked(scene)
+    inspection = inspected(scene)
     from dataclasses import replace
 
-    right = look.sound[0]
+    right = inspection.sound[0]
     R, t = broken(name, right.R, right.t)
-    look.sound[0] = replace(right, R=R, t=t)
-    found = {finding.topic: finding for finding in inspect_fit(look)}
+    inspection.sound[0] = replace(right, R=R, t=t)
+    found = {finding.topic: finding for finding in inspect_fit(inspection)}
     assert found["fit"].level in ("doubt", "error") and name in found["fit"].cure, found["fit"]
 
 
@@ -192,8 +200,8 @@ def test_frames_that_jump_are_named(scene):
     writers.save_object(
         scene.folder / "new_params" / "2.npy", dict(moved, Rh=cv2.Rodrigues(turned)[0].reshape(1, 3))
     )
-    look = looked(scene)
-    motion = [finding for finding in inspect_bodies(look) if finding.topic == "motion"]
+    inspection = inspected(scene)
+    motion = [finding for finding in inspect_bodies(inspection) if finding.topic == "motion"]
     assert len(motion) == 1 and "2 frames jump or turn sharply" in motion[0].text and "2, 3" in motion[0].text
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from data import layout_writers as writers
-from occfusion.data import ocmotion_annot
-from occfusion.data.ocmotion_chomp import ChompScene, sequence_names
+from occfusion.data.ocmotion import ocmotion_annotations
+from occfusion.data.ocmotion.chomp_layout import ChompScene, sequence_names
 from occfusion.errors import ConfigError
 from occfusion.files import thinned, unpickle
 
@@ -70,8 +70,8 @@ def test_only_the_wanted_sequence_is_kept_while_reading(folder, monkeypatch):
         kept.extend(frame for cams in content for frames in cams for frame in frames if "4" in frame)
         return content
 
-    monkeypatch.setattr(ocmotion_annot, "load_thinned", watched)
-    monkeypatch.setattr(ocmotion_annot, "load_pickle", lambda path: pytest.fail("read as a whole"))
+    monkeypatch.setattr(ocmotion_annotations, "load_thinned", watched)
+    monkeypatch.setattr(ocmotion_annotations, "load_pickle", lambda path: pytest.fail("read as a whole"))
     opened(folder, "0002")
     assert {frame["img_path"].split("/")[1] for frame in kept} == {"0002"} and len(kept) == 6
     kept.clear()

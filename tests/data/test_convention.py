@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from data.tiny_scene import TinyBody
-from occfusion.data.convention import easymocap_to_smplx
+from occfusion.data.body_convention import easymocap_to_smplx
 
 
 @pytest.mark.parametrize("seed", range(4))

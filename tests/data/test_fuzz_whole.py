@@ -14,7 +14,7 @@ from data.test_bad_input import pristine as pristine
 from data.test_bad_input import source as source
 from data.test_fuzz import TABLES
 from occfusion.cli.check import _inspect
-from occfusion.data.overlay import draw_overlay
+from occfusion.data.checking.fit import draw_overlay
 from occfusion.errors import OccfusionError
 
 MANY = 40

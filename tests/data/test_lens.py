@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from occfusion.data.lens import Lens
+from occfusion.data.cameras import Lens
 from occfusion.data.scene import Calibration
 from oracles.pictures import area_scaled, distort, undistorted
 

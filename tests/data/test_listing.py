@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from occfusion.data import OcMotionDataModule, VideoDataModule
-from occfusion.data.fixed_camera import FixedCamera
-from occfusion.data.listing import like, natural, partners, pictures_in, pngs_in, require_same, strays
-from occfusion.data.ocmotion import PAPER_SEQUENCES
+from occfusion.data.cameras import FixedCamera
+from occfusion.data.folder_contents import like, natural, partners, pictures_in, pngs_in, require_same, strays
+from occfusion.data.ocmotion.ocmotion_data import PAPER_SEQUENCES
 from occfusion.data.scene import BodyParameters
 from occfusion.errors import ConfigError, DataError
 

@@ -8,9 +8,8 @@ import pytest
 from data.tiny_scene import write_tiny_scene
 from occfusion.data import ZjuDataModule
 from occfusion.data.occlusion import OcclusionSettings
-from occfusion.data.prepare import Selection
-from occfusion.data.presets import PRESETS, find_preset, place_strip, select
-from occfusion.data.protocol import held_out_range, train_range
+from occfusion.data.prepare import Selection, held_out_range, train_range
+from occfusion.data.zju.zju_protocols import PRESETS, find_preset, place_strip, select
 from occfusion.errors import ConfigError
 
 FRAMES = {"377": 617, "386": 646, "387": 654, "392": 556, "393": 658, "394": 859}

@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from occfusion.data import registration
-from occfusion.data.correction import Correction
-from occfusion.data.offsets import Offsets, View, measure_offsets
+from occfusion.data.outline_offsets import Correction, Offsets, View, measure_offsets
 from occfusion.data.registration import agreement, register
 from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.zbuffer import rasterize_mesh

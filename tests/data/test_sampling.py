@@ -8,9 +8,9 @@ from itertools import islice
 
 import pytest
 
-from occfusion.data.cache import BoundedCache
-from occfusion.data.protocol import held_out_cameras, held_out_range, train_range
+from occfusion.data.prepare import held_out_cameras, held_out_range, train_range
 from occfusion.data.sampling import AHEAD, StepSampler, StepStream, prefetched
+from occfusion.data.views import BoundedCache
 from occfusion.errors import ConfigError
 
 

@@ -15,7 +15,7 @@ import torch
 from data import layout_writers as writers
 from data.layout_writers import Source
 from occfusion.data import VideoDataModule
-from occfusion.data.people import who_can_hide
+from occfusion.data.silhouette import who_can_hide
 from occfusion.errors import ConfigError, DataError
 from occfusion.evaluation.evaluate import evaluate_image
 from occfusion.observation.frames import observe_frames

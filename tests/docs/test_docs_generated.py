@@ -6,7 +6,9 @@ import sys
 import pytest
 from doc_pages import DOCS, ROOT
 
-from occfusion.data import ocmotion_protocol, presets, video_presets
+from occfusion.data.ocmotion import ocmotion_protocols
+from occfusion.data.video import video_protocols
+from occfusion.data.zju import zju_protocols
 
 AGAIN = "run: python scripts/write_reference_pages.py"
 
@@ -70,6 +72,6 @@ def test_protocols_page(scripts):
 def test_table_of_protocols(scripts):
     page = (DOCS / "guide" / "data.md").read_text(encoding="utf-8")
     assert scripts("protocol_pages").with_protocols(page) == page, AGAIN
-    for names in (presets.PRESETS, ocmotion_protocol.PROTOCOLS, video_presets.PROTOCOLS):
+    for names in (zju_protocols.PRESETS, ocmotion_protocols.PROTOCOLS, video_protocols.PROTOCOLS):
         for name in names:
             assert f", `{name}` |" in page, name

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from occfusion.data.true_surface import true_surface
-from occfusion.data.zju import ZjuDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
+from occfusion.data.zju.zju_layout import true_surface
 from occfusion.evaluation.evaluate import evaluate_image, summarise
 from occfusion.files.arrays import load_npy
 from occfusion.human import embedded_body

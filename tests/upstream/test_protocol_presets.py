@@ -18,10 +18,9 @@ from hydra import compose, initialize_config_dir
 from data.tiny_scene import write_tiny_scene
 from occfusion.data import ZjuDataModule
 from occfusion.data.occlusion import OcclusionSettings, plan
-from occfusion.data.prepare import Selection
-from occfusion.data.presets import PRESETS, describe, find_preset, place_strip, select
-from occfusion.data.protocol import held_out_cameras, held_out_range, train_range
+from occfusion.data.prepare import Selection, held_out_cameras, held_out_range, train_range
 from occfusion.data.silhouette import Silhouette
+from occfusion.data.zju.zju_protocols import PRESETS, describe, find_preset, place_strip, select
 from occfusion.errors import ConfigError
 
 CONF = Path(__file__).parents[2] / "conf"

@@ -13,8 +13,8 @@ from hydra import compose, initialize_config_dir
 from data import layout_writers
 from data.layout_writers import Source
 from occfusion.data import VideoDataModule
-from occfusion.data.pose_tracks import open_tracks
-from occfusion.data.video_presets import INSTANT_AVATAR
+from occfusion.data.video.pose_tracks import open_tracks
+from occfusion.data.video.video_protocols import INSTANT_AVATAR
 from occfusion.errors import ConfigError, DataError
 from occfusion.run.compose import make_data
 from occfusion.settings.schema import load_settings
@@ -185,9 +185,9 @@ def test_the_tracks_of_the_four_subjects(subject, source, tmp_path):
 
 
 def test_the_protocol_trains_and_holds_out_by_the_name_of_the_subject(source, tmp_path, monkeypatch):
-    from occfusion.data import video_presets
+    from occfusion.data.video import video_protocols
 
-    small = video_presets.Ranges(range(0, 12, 2), range(12, 18, 3))
+    small = video_protocols.Ranges(range(0, 12, 2), range(12, 18, 3))
     monkeypatch.setitem(INSTANT_AVATAR, "male-3-casual", small)
     folder = write_peoplesnapshot(source, tmp_path / "male-3-casual", exact=False)
     every = opened(folder, source, protocol="instantavatar")

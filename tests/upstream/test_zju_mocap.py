@@ -13,7 +13,7 @@ import pytest
 from data.layout_writers import Source, save_object
 from occfusion.__main__ import main
 from occfusion.data import ZjuDataModule
-from occfusion.data.zju_layout import ZjuScene
+from occfusion.data.zju.zju_layout import ZjuScene
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.images import read_mask
 from occfusion.human import Body, embedded_body, load_body

@@ -10,16 +10,23 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from occfusion.data.findings import Finding, guarded, worst
-from occfusion.data.fit import inspect_fit, inspect_other_cameras, inspect_registration
-from occfusion.data.inspection import Look, inspect_bodies, inspect_cameras, inspect_files, inspect_masks
+from occfusion.data.checking.fit import draw_overlay, inspect_fit, inspect_other_cameras, inspect_registration
+from occfusion.data.checking.inspection import (
+    Finding,
+    Inspection,
+    guarded,
+    inspect_bodies,
+    inspect_cameras,
+    inspect_files,
+    inspect_masks,
+    worst,
+)
 from occfusion.data.layouts import AUTO, LAYOUTS, sequences_in
 from occfusion.data.opening import open_folder
-from occfusion.data.overlay import draw_overlay
 from occfusion.data.posing import Poser
 from occfusion.data.scene import Scene
-from occfusion.data.stored_vertices import compare_with_stored
-from occfusion.data.zju_layout import ZjuScene
+from occfusion.data.zju.stored_vertices import compare_with_stored
+from occfusion.data.zju.zju_layout import ZjuScene
 from occfusion.errors import ConfigError, OccfusionError
 from occfusion.files.atomic import write_png
 from occfusion.human import embedded_body, load_body
@@ -46,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--layout", default=AUTO, choices=(AUTO, *(layout.name for layout in LAYOUTS)),
-        help="how to read a folder that could be read in several ways (default: look)",
+        help="how to read a folder that could be read in several ways (default: inspection)",
     )  # fmt: skip
     parser.add_argument("--camera", type=int, default=0, help="index of the training camera (default: 0)")
     parser.add_argument("--masks", help="mask folder (default: the layout's)")
@@ -80,7 +87,7 @@ def _folders(data: Path) -> list[Path]:
 
 
 def _check(folder: Path, arguments: argparse.Namespace) -> str:
-    findings, look = _inspect(folder, arguments)
+    findings, inspection = _inspect(folder, arguments)
     console = Console()
     table = Table(title=str(folder), title_justify="left", show_lines=True)
     for heading in ("", "what", "found", "what to do"):
@@ -89,9 +96,9 @@ def _check(folder: Path, arguments: argparse.Namespace) -> str:
         mark = Text(finding.level, style=COLOURS[finding.level])
         table.add_row(mark, *(Text(part) for part in (finding.topic, finding.text, finding.cure)))
     console.print(table)
-    picture = None if look is None else draw_overlay(look)
-    if picture is not None and look is not None:
-        path = arguments.overlay or Path(f"check_{look.scene.name}.png")
+    picture = None if inspection is None else draw_overlay(inspection)
+    if picture is not None and inspection is not None:
+        path = arguments.overlay or Path(f"check_{inspection.scene.name}.png")
         write_png(path, picture)
         console.print(
             f"overlay (mask green, body red, joints yellow): {path}", highlight=False, soft_wrap=True
@@ -105,7 +112,7 @@ def _check(folder: Path, arguments: argparse.Namespace) -> str:
     return level
 
 
-def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding], Look | None]:
+def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding], Inspection | None]:
     findings: list[Finding] = []
     try:
         poser, body = _poser(folder, arguments.body)
@@ -130,10 +137,10 @@ def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding]
         raise ConfigError(
             f"--camera {arguments.camera}: the scene has the cameras 0..{len(scene.cameras) - 1}."
         )
-    look = Look(scene, poser, arguments.camera)
+    inspection = Inspection(scene, poser, arguments.camera)
     for part in PARTS:
-        findings += part(look)
-    return _by_gravity(findings), look
+        findings += part(inspection)
+    return _by_gravity(findings), inspection
 
 
 def _poser(folder: Path, path: Path | None) -> tuple[Poser, Finding]:

@@ -9,13 +9,55 @@ the tables, unless it was cut from OcMotion, where people really are hidden: its
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from occfusion.data.unread_forms import why_unread
+from occfusion.data.scene import Scene
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.jsonfile import load_json
+
+_PROGRAM = "of tijiang13/InstantAvatar"
+
+
+@dataclass(frozen=True)
+class UnreadForm:
+    """A form that others have to convert first.
+
+    Attributes:
+        marks: names that a folder has, all of them.
+        what: the form in words, and why it is not read.
+        cure: what makes a form of it that is read.
+    """
+
+    marks: tuple[str, ...]
+    what: str
+    cure: str
+
+
+UNREAD = (
+    UnreadForm(
+        ("images", "segmentations", "sparse"),
+        "NeuMan's own form (apple/ml-neuman): COLMAP's cameras in sparse/, 255 = background in segmentations/, "
+        "and poses that alignments.npy scales anew in each picture",
+        f"scripts/custom/process-sequence.sh {_PROGRAM} makes cameras.npz, masks/ and poses of its images/",
+    ),
+    UnreadForm(
+        ("camera.pkl", "reconstructed_poses.hdf5"),
+        "PeopleSnapshot as released: a video, and HDF5 files of masks and poses",
+        f"scripts/peoplesnapshot/preprocess_PeopleSnapshot.py {_PROGRAM} makes cameras.npz, images/, masks/ "
+        "and poses.npz",
+    ),
+)
+
+
+def why_unread(folder: Path) -> str | None:
+    """Returns which form that is not read a folder has, and what to do; None where it has none of them."""
+    for form in UNREAD:
+        if all((folder / mark).exists() for mark in form.marks):
+            return f"is of {form.what}. It is not read; {form.cure}, which dataset=video reads."
+    return None
+
 
 AUTO = "auto"
 """What `dataset.layout` and `--layout` say to have the folder looked at."""
@@ -127,6 +169,15 @@ def other_layouts(folder: Path, taken: str) -> str:
         for layout in others
         if not layout.lacks(folder)
     )
+
+
+def noted(scene: Scene, folder: Path, layout: str) -> Scene:
+    """Returns the reader, having noted in what it took that the folder has other layouts too."""
+    others = other_layouts(folder, layout)
+    if others:
+        text = "; ".join(part for part in (others, scene.taken.others) if part)
+        scene.taken = replace(scene.taken, others=text)
+    return scene
 
 
 def sequences_in(root: Path) -> list[Path]:

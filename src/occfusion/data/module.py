@@ -15,14 +15,14 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
-from occfusion.data import survey, validation
+from occfusion.data.checking import survey, validation
+from occfusion.data.occluders import write_occlusion
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.posing import Poser, RestBody
 from occfusion.data.prepare import Prepared, Selection, prepare
-from occfusion.data.registered import SceneRegistration, register_scene
-from occfusion.data.sampling import StepSampler, StepStream, ViewStream, prefetched
+from occfusion.data.sampling import StepSampler, StepStream, ViewStream, prefetched, spread
 from occfusion.data.scene import Scene, Taken
-from occfusion.data.stored_occlusion import write_occlusion
+from occfusion.data.scene_registration import SceneRegistration, register_scene
 from occfusion.data.views import Views, frame_to
 from occfusion.errors import ConfigError
 from occfusion.types import Camera, Frame, Pose
@@ -230,6 +230,15 @@ class HumanDataModule(L.LightningDataModule):
     def test_dataloader(self) -> DataLoader[Frame]:
         """Returns a loader over the held-out views that show a person, one at a time."""
         return DataLoader(ViewStream(self.test_frame, self.test_views), batch_size=None)
+
+    def spread_test_frames(self, wanted: int) -> list[Frame]:
+        """Returns evenly spread held-out views; they go round the cameras and through time."""
+        views = self.test_views
+        return [self.test_frame(*views[k]) for k in spread(len(views), wanted)]
+
+    def spread_train_frames(self, wanted: int) -> list[Frame]:
+        """Returns evenly spread training views with their truth."""
+        return [self.train_frame(k) for k in spread(len(self.train_indices), wanted)]
 
     def transfer_batch_to_device(self, batch: Frame, device: torch.device, dataloader_idx: int) -> Frame:
         """Returns the frame on `device` (Lightning does not enter frozen records by itself)."""

@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.data.occluders import from_files, polygons
+from occfusion.data.occluders import from_files, is_stored, polygons, read_occlusion
 from occfusion.data.silhouette import Hidden, Silhouette
-from occfusion.data.stored_occlusion import is_stored, read_occlusion
 from occfusion.errors import ConfigError, DataError
 from occfusion.types import Box
 

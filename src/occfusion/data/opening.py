@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-from occfusion.data.humannerf_layout import HumanNerfScene
-from occfusion.data.layouts import AUTO, find_layout, other_layouts
-from occfusion.data.ocmotion_chomp import ChompScene, sequence_names
-from occfusion.data.ocmotion_w2a import W2aScene
+from occfusion.data.layouts import AUTO, find_layout, noted
+from occfusion.data.ocmotion.chomp_layout import ChompScene, sequence_names
+from occfusion.data.ocmotion.w2a_layout import W2aScene
 from occfusion.data.posing import AtRest
 from occfusion.data.scene import Scene
-from occfusion.data.video_layout import VideoScene
-from occfusion.data.zju_layout import ZjuScene
+from occfusion.data.video.video_layout import VideoScene
+from occfusion.data.zju.humannerf_layout import HumanNerfScene
+from occfusion.data.zju.zju_layout import ZjuScene
 from occfusion.errors import ConfigError
 
 
@@ -43,15 +42,6 @@ def open_folder(
     """
     found = find_layout(folder, asked=layout)
     return found, noted(_reader(found, folder, body, masks, sequence, person, numbered), folder, found)
-
-
-def noted(scene: Scene, folder: Path, layout: str) -> Scene:
-    """Returns the reader, having noted in what it took that the folder has other layouts too."""
-    others = other_layouts(folder, layout)
-    if others:
-        text = "; ".join(part for part in (others, scene.taken.others) if part)
-        scene.taken = replace(scene.taken, others=text)
-    return scene
 
 
 def _reader(

@@ -11,10 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from occfusion.data.lens import Lens
-from occfusion.data.people import read_people
+from occfusion.data.cameras import Lens
 from occfusion.data.scene import PictureFiles
-from occfusion.data.silhouette import Hidden, Silhouette, bounding_box
+from occfusion.data.silhouette import Hidden, Silhouette, bounding_box, read_people
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.types import Box

@@ -26,8 +26,7 @@ import numpy as np
 import scipy.sparse
 from scipy.spatial import cKDTree
 
-from occfusion.data.correction import NONE, Correction
-from occfusion.data.offsets import Floats, Ints, Offsets, View, measure_offsets
+from occfusion.data.outline_offsets import NONE, Correction, Floats, Ints, Offsets, View, measure_offsets
 
 PARTS, PATCHES = 24, 300
 STANDS_OFF = 0.01

@@ -175,7 +175,7 @@ class Scene(ABC):
     def evidence(self, frame: int) -> tuple[Path, ...]:
         """Returns the files, other than pictures, that determine a frame: for the hash of the data."""
 
-    def body_doubts(self, pose: Callable[[BodyParameters], tuple[Array, Array]]) -> list[str]:
+    def body_warnings(self, pose: Callable[[BodyParameters], tuple[Array, Array]]) -> list[str]:
         """Returns what joints that the folder itself has say against a body, one sentence each.
 
         Args:

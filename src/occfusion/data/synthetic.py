@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from occfusion.data.module import RestBody
-from occfusion.data.zju import ZjuDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.synth import SceneSpec, with_turn, write_scene
 
 FAST_DEV_SIZE = 96

@@ -6,15 +6,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from occfusion.data.cache import BoundedCache
-from occfusion.data.correction import NONE, Correction
-from occfusion.data.lens import Lens
+from occfusion.data.cameras import Lens
+from occfusion.data.outline_offsets import NONE, Correction
 from occfusion.data.packing import Packed, pack
 from occfusion.data.prepare import Prepared
 from occfusion.data.scene import BodyParameters
@@ -22,6 +22,46 @@ from occfusion.errors import DataError
 from occfusion.files.images import image_size, read_mask
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.types import Camera, Frame, Pose, Truth
+
+
+class Sized(Protocol):
+    """Something that knows how many bytes it takes."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays."""
+
+
+T = TypeVar("T", bound=Sized)
+
+
+class BoundedCache(Generic[T]):
+    """Keeps what is made until the bound is reached, then keeps what it has.
+
+    Nothing is ever thrown out: training visits all frames in turn, and throwing out the oldest would then
+    throw out exactly those that come next.
+    """
+
+    def __init__(self, max_bytes: int) -> None:
+        self._left = max_bytes
+        self._kept: dict[object, T] = {}
+        self._lock = Lock()
+
+    def get(self, key: object, make: Callable[[], T]) -> T:
+        """Returns what is kept under `key`, or makes it and keeps it if it still fits."""
+        found = self._kept.get(key)
+        if found is None:
+            found = make()
+            with self._lock:
+                if key not in self._kept and found.nbytes <= self._left:
+                    self._kept[key] = found
+                    self._left -= found.nbytes
+        return found
+
+    def __len__(self) -> int:
+        """Number of items kept."""
+        return len(self._kept)
+
 
 _KEPT_LENSES = 3
 """Undistortion maps take 6 bytes a pixel and camera; held-out views are visited camera by camera."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from occfusion.data.registered import SceneRegistration
+from occfusion.data.scene_registration import SceneRegistration
 from occfusion.observation.evidence import FITTING, HIDDEN_SHARE
 from occfusion.observation.frames import ObservedFrame, misfit_of, poses_fit
 from occfusion.observation.key_light import KeyLight

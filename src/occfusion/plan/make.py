@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from occfusion.data.registered import SceneRegistration
+from occfusion.data.scene_registration import SceneRegistration
 from occfusion.observation.frames import ObservedFrame
 from occfusion.observation.key_light import KeyLight
 from occfusion.perceptual import training_dtype

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from occfusion.cpu.memory import peak_memory_mb
-from occfusion.data.handful import held_out_handful, training_handful
 from occfusion.data.module import HumanDataModule
 from occfusion.evaluation.evaluate import ImageRow, evaluate_frames, summarise, write_per_image_csv
 from occfusion.evaluation.pictures import write_comparison
@@ -68,8 +67,12 @@ def evaluate_run(
     write_json(folder / "metrics.json", metrics)
     if evaluation.pictures:
         (folder / "pictures").mkdir(exist_ok=True)
-        write_comparison(folder / "pictures" / "held_out.png", held_out_handful(data, PICTURE_FRAMES), render)
-        write_comparison(folder / "pictures" / "training.png", training_handful(data, PICTURE_FRAMES), render)
+        write_comparison(
+            folder / "pictures" / "held_out.png", data.spread_test_frames(PICTURE_FRAMES), render
+        )
+        write_comparison(
+            folder / "pictures" / "training.png", data.spread_train_frames(PICTURE_FRAMES), render
+        )
     return metrics
 
 

@@ -11,7 +11,7 @@ import torch
 
 from occfusion.cpu.processes import is_helper, local_rank
 from occfusion.data.module import HumanDataModule
-from occfusion.data.registered import SceneRegistration
+from occfusion.data.scene_registration import SceneRegistration
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline
 from occfusion.human.rendering import Renderer

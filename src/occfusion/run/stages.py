@@ -11,7 +11,6 @@ from typing import Any
 import lightning as L
 
 from occfusion.cpu.processes import is_helper, tell_helpers
-from occfusion.data.handful import held_out_handful, training_handful
 from occfusion.files.atomic import write_json
 from occfusion.human import load_avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
@@ -273,7 +272,7 @@ def _logs(run_: Run, name: str, checkpoint: Path | None) -> Logs:
         return Logs([], [])
 
     def views() -> dict[str, Frame]:
-        found = {"training": training_handful(run_.data, 1), "held_out": held_out_handful(run_.data, 1)}
+        found = {"training": run_.data.spread_train_frames(1), "held_out": run_.data.spread_test_frames(1)}
         return {name: frames[0] for name, frames in found.items() if frames}
 
     settings = run_.settings
@@ -283,7 +282,7 @@ def _logs(run_: Run, name: str, checkpoint: Path | None) -> Logs:
 
 def _curve(run_: Run) -> ErrorCurve:
     evaluation = run_.settings.evaluation
-    frames = held_out_handful(run_.data, evaluation.curve_images)
+    frames = run_.data.spread_test_frames(evaluation.curve_images)
     perceptual = evaluation_metric(evaluation, run_.perceptual)
     path = run_.folder / CURVE_TABLE
     return ErrorCurve(path, frames, run_.render, evaluation.curve_first_second, perceptual)

@@ -1,0 +1,1 @@
+"""What is checked of a data folder: before training, and in full by `check`."""

@@ -1,0 +1,189 @@
+"""The checks before training that need cameras, poses and masks together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occfusion.data.checking import checks, overlap, survey
+from occfusion.data.checking.overlap import explain_misfit
+from occfusion.data.posing import Poser
+from occfusion.data.prepare import Prepared
+from occfusion.data.scene import Array, Calibration
+from occfusion.data.silhouette import Silhouette
+from occfusion.data.views import Views
+from occfusion.errors import DataError
+
+HEIGHT = (0.5, 3.0)
+"""Plausible heights of a person at rest, metres."""
+
+CHECKED_FRAMES = 5
+"""Frames whose projected body is compared with the mask."""
+
+FULL_MASK, TINY_MASK = 0.9, 0.002
+"""Shares of a picture above and below which a person's mask is doubtful."""
+
+LOW_OVERLAP = 0.5
+"""IoU of body and mask below which it is reported: a clothed person has 0.8 to 0.95."""
+
+JOINTS_INSIDE = 0.6
+"""Share of the joints inside the mask below which it is reported; embedded people have 0.87 to 1."""
+
+MISSED = 0.1
+"""Mean share of the mask inside the body below which the two cannot belong together."""
+
+
+def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
+    """Returns what is doubtful about the data, one sentence each.
+
+    Looks at everything that training and evaluation will read, as far as that is cheap: all files are
+    there, all headers agree, all cameras and poses are sound, and in a few frames the body is where the
+    mask is.
+
+    Raises:
+        DataError: something cannot be; says what, where, and what to do.
+    """
+    scene = prepared.scene
+    selected = [*prepared.train_views, *prepared.test_views]
+    survey.require_files(scene, selected)
+    cameras = sorted({camera for _, camera in selected})
+    sizes = {camera: views.lens(camera).source for camera in cameras}
+    survey.require_sizes(scene, selected, sizes)
+    for frame, camera in selected if scene.zooms else [(prepared.train[0], camera) for camera in cameras]:
+        calibration = scene.view(frame, camera)
+        where = f"{scene.root}, K of camera {calibration.name}"
+        where += f" in {scene.files(frame, camera).name}" if scene.zooms else ""
+        checks.check_intrinsics(calibration.K, sizes[camera], where)
+    for frame in sorted({*prepared.train, *prepared.test}):
+        views.parameters(frame)
+    _check_height(poser.rest_vertices(views.parameters(prepared.train[0]).betas), str(scene.root))
+    warnings = [*scene.remarks, *([_left_out(prepared)] if prepared.left_out else [])]
+    warnings += scene.body_warnings(poser.pose)
+    warnings += mask_warnings(str(scene.root), prepared.train, [person.seen for person in prepared.people])
+    return warnings + _check_projection(prepared, views, poser) + _held_out_warnings(prepared, views, poser)
+
+
+def estimated_shares(prepared: Prepared, views: Views, poser: Poser) -> list[float]:
+    """Returns which share of the projected body the mask of each training frame covers."""
+    scene, camera = prepared.scene, prepared.camera
+    return [
+        overlap.seen_share(
+            poser.pose(views.parameters(frame))[0], scene.view(frame, camera), person.seen.full()
+        )
+        for frame, person in zip(prepared.train, prepared.people, strict=True)
+    ]
+
+
+def mask_warnings(where: str, frames: Sequence[int], people: Sequence[Silhouette]) -> list[str]:
+    """Returns what is odd about the masks of some frames, one sentence each: full, tiny, in pieces."""
+    shares = [int(person.crop().sum()) / (person.width * person.height) for person in people]
+    warnings = []
+    full = [frame for frame, share in zip(frames, shares, strict=True) if share > FULL_MASK]
+    if full:
+        warnings.append(
+            f"{where}: the mask covers more than {FULL_MASK:.0%} of the picture in {len(full)} frames, first "
+            f"{full[0]}; is it inverted (person 0, background 255)?"
+        )
+    tiny = [frame for frame, share in zip(frames, shares, strict=True) if 0 < share < TINY_MASK]
+    if tiny:
+        warnings.append(
+            f"{where}: the mask covers less than {TINY_MASK:.1%} of the picture in {len(tiny)} frames, first "
+            f"{tiny[0]}; is somebody in them? Leave them out with dataset.train_frames if not."
+        )
+    return warnings
+
+
+def _left_out(prepared: Prepared) -> str:
+    shown = ", ".join(str(frame) for frame in prepared.left_out[:10])
+    count = len(prepared.left_out)
+    return f"{prepared.scene.root}: {count} training frames show no person and are left out: {shown}"
+
+
+def _check_height(vertices: Array, where: str) -> None:
+    height = float(np.ptp(vertices, axis=0).max())
+    if not HEIGHT[0] <= height <= HEIGHT[1]:
+        raise DataError(
+            f"{where}: the body is {height:.3g} m tall at rest, not {HEIGHT[0]} to {HEIGHT[1]} m; check "
+            "`shapes` and the unit of the body file."
+        )
+
+
+def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
+    where, camera = str(prepared.scene.root), prepared.scene.calibration(prepared.camera)
+    chosen = np.linspace(0, len(prepared.train) - 1, CHECKED_FRAMES).round().astype(int)
+    positions = sorted({int(index) for index in chosen})
+    people = {prepared.train[k]: prepared.people[k].whole for k in positions}
+    posed = {frame: poser.pose(views.parameters(frame)) for frame in people}
+    masks = {frame: person.full() for frame, person in people.items()}
+    seen = {frame: prepared.scene.view(frame, prepared.camera) for frame in people}
+    try:
+        for frame, person in people.items():
+            checks.check_in_view(
+                posed[frame][0], seen[frame], (person.width, person.height), f"{where}, frame {frame}"
+            )
+    except DataError as error:
+        raise DataError(f"{error}{_explanation(posed, masks, seen)}") from None
+    fits = {frame: overlap.mask_overlap(posed[frame][0], seen[frame], masks[frame]) for frame in people}
+    inside = float(np.mean([share for _, share in fits.values()]))
+    if inside < MISSED:
+        raise DataError(
+            f"{where}: the projected body misses the person's mask in camera {camera.name}: "
+            f"{inside:.0%} of the mask is inside it, mean of {len(people)} frames. Check R "
+            "(transposed?), T (millimetres), Rh and Th, and that the body file is the one the "
+            f"parameters were fitted with.{_explanation(posed, masks, seen)}"
+        )
+    if any(prepared.unknown):  # what is hidden lowers the IoU of a perfect fit; the rest must be inside
+        if inside >= LOW_OVERLAP:
+            return []
+        return [
+            f"{where}: only {inside:.0%} of the visible mask is inside the projected body in camera "
+            f"{camera.name}, mean of {len(people)} frames; embedded people have 80 % and more. Check the cameras, the "
+            f"parameters, the body file, and that the masks are of the same person."
+            f"{_explanation(posed, masks, seen)}"
+        ]
+    worst = min(fits, key=lambda frame: fits[frame][0])
+    if fits[worst][0] < LOW_OVERLAP:
+        return [
+            f"{where}, frame {worst}: projected body and mask overlap by only {fits[worst][0]:.2f} (IoU) in "
+            f"camera {camera.name}; a good fit has 0.8. Check the cameras, Rh, Th, the body file, the masks."
+            f"{_explanation(posed, masks, seen)}"
+        ]
+    joints = float(np.mean([overlap.joints_inside(posed[f][1], seen[f], masks[f]) for f in people]))
+    if joints < JOINTS_INSIDE:
+        return [
+            f"{where}: only {joints:.0%} of the joints lie inside the mask in camera {camera.name}, mean of "
+            f"{len(people)} frames; embedded people in full view have 87 % and more. Check cameras, poses and masks."
+        ]
+    return []
+
+
+def _explanation(
+    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], seen: dict[int, Calibration]
+) -> str:
+    reason = explain_misfit(
+        [vertices for vertices, _ in posed.values()], list(masks.values()), list(seen.values())
+    )
+    return f" {reason[0].upper()}{reason[1:]}." if reason else ""
+
+
+def _held_out_warnings(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
+    """Returns one sentence naming the held-out cameras whose mask the body misses in the first test frame."""
+    frame = prepared.test[0]
+    vertices, _ = poser.pose(views.parameters(frame))
+    doubtful = []
+    for index in prepared.cameras:
+        person = survey.read_person(prepared.scene, frame, index).whole
+        camera = prepared.scene.calibration(index)
+        fit, _ = overlap.mask_overlap(vertices, camera, person.full())
+        if fit < LOW_OVERLAP and not person.empty:
+            doubtful.append(camera.name)
+    if not doubtful:
+        return []
+    names = ", ".join(doubtful[:5])
+    return [
+        f"{prepared.scene.root}, frame {frame}: projected body and mask overlap badly (IoU below "
+        f"{LOW_OVERLAP}) in {len(doubtful)} of {len(prepared.cameras)} held-out cameras: {names}. "
+        "Check their R and T."
+    ]
