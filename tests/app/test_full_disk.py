@@ -16,7 +16,7 @@ from app.test_init import CountingPrior, Make, run
 from app.test_init import body as body
 from app.test_init import data as data
 from app.test_init import make as make
-from app.test_init import moments as moments
+from app.test_init import observed_frames as observed_frames
 from app.test_run import assert_same, parameters
 from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import CheckpointError, DataError
