@@ -8,9 +8,9 @@ import numba
 import numpy as np
 import pytest
 
-from occfusion.splat.backends import numba_blocks as blocks
-from occfusion.splat.backends import numba_layout as layout
-from occfusion.splat.backends.numba_blend_backward import sum_lanes
+from occfusion.splat.backends.numba import bins as blocks
+from occfusion.splat.backends.numba import layout
+from occfusion.splat.backends.numba.blend_backward import sum_lanes
 
 MARGIN = 0.01
 """Pixels around a block within which an ellipse may count as reaching it."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from occfusion.splat.backends.numba_harmonics import direction_gradient, fill_basis
+from occfusion.splat.backends.numba.geometry import direction_gradient, fill_basis
 from occfusion.splat.harmonics import SH_C0, basis, evaluate, num_coefficients
 from oracles import splat as oracle
 

@@ -19,10 +19,10 @@ from splat_scenes import LAYERS, Scene, assert_all_same, gradients, make_scene, 
 from occfusion.cpu.threads import usable_cores
 from occfusion.errors import ConfigError
 from occfusion.splat import Limits, resolve_backend
-from occfusion.splat.backends import numba_ahead, numba_backend, numba_gradient
-from occfusion.splat.backends.numba_bins import sort_by_depth
-from occfusion.splat.backends.numba_layout import DEPTH, REACH, SPLAT_SIZE
-from occfusion.splat.backends.numba_project_backward import project_backward_part
+from occfusion.splat.backends.numba import ahead, backend
+from occfusion.splat.backends.numba.bins import sort_by_depth
+from occfusion.splat.backends.numba.layout import DEPTH, REACH, SPLAT_SIZE
+from occfusion.splat.backends.numba.project import project_backward_part
 from occfusion.splat.limits import DEFAULT_LIMITS
 
 FLIP = 2 / 255
@@ -136,7 +136,7 @@ def test_colors_alone_leave_the_geometry_out(monkeypatch: pytest.MonkeyPatch) ->
     def refuse(*_: Any) -> None:
         raise AssertionError("the gradient of shapes and places was computed")
 
-    monkeypatch.setattr(numba_gradient, "blend_backward_part", refuse)
+    monkeypatch.setattr(backend, "blend_backward_part", refuse)
     (got,) = torch.autograd.grad(alone.render("numba").rgb.sum(), alone.tensors["colors"])
     monkeypatch.undo()
     expected = torch.autograd.grad(scene.render("numba").rgb.sum(), scene.tensors["colors"])[0]
@@ -148,7 +148,7 @@ def test_background_alone_visits_no_gaussian(monkeypatch: pytest.MonkeyPatch) ->
     alone = Scene({n: t.detach() for n, t in scene.tensors.items()}, scene.K, 40, 30, scene.options)
     background = alone.tensors["background"].requires_grad_()
     rendering = alone.render("numba")
-    monkeypatch.setattr(numba_gradient, "run_parts", lambda *_: pytest.fail("a kernel ran"))
+    monkeypatch.setattr(backend, "run_parts", lambda *_: pytest.fail("a kernel ran"))
     (got,) = torch.autograd.grad(rendering.rgb.sum(), background)
     assert torch.allclose(got, (1 - rendering.alpha).sum().expand(3))
 
@@ -225,7 +225,7 @@ def test_other_limits() -> None:
     assert_all_same(results(scene, "numba", limits=limits), results(scene, "torch", limits=limits), 1e-4)
     with pytest.raises(ConfigError, match="alpha_min >= 1/256"):
         scene.render("numba", limits=Limits(alpha_min=1e-3))
-    assert DEFAULT_LIMITS.alpha_min >= numba_backend.LEAST_ALPHA_MIN
+    assert DEFAULT_LIMITS.alpha_min >= backend.LEAST_ALPHA_MIN
 
 
 PROGRAM = """
@@ -235,15 +235,15 @@ import torch
 from splat_scenes import make_scene
 scene = make_scene(n=5, dtype=torch.float32)
 scene.render("numba").rgb.sum().backward()
-from occfusion.splat.backends import numba_blend
-print(sum(numba_blend.blend_part.stats.cache_hits.values()))
+from occfusion.splat.backends.numba import blend
+print(sum(blend.blend_part.stats.cache_hits.values()))
 """
 
 
 def test_what_is_compiled_ahead_is_what_a_gradient_calls() -> None:
     make_scene(n=5, dtype=torch.float32).render("numba").rgb.sum().backward()
     known = list(project_backward_part.signatures)
-    numba_gradient.compile_last()
+    backend.compile_last()
     assert list(project_backward_part.signatures) == known and len(known) == 1
 
 
@@ -255,13 +255,13 @@ def test_whether_a_kernel_is_cached_is_seen(tmp_path: Path) -> None:
         py_func=SimpleNamespace(__code__=code, __qualname__="kernel"),
         stats=SimpleNamespace(cache_path=str(tmp_path)),
     )
-    assert not numba_ahead.is_cached(kernel)
+    assert not ahead.is_cached(kernel)
     index.write_text("")
-    assert numba_ahead.is_cached(kernel)
+    assert ahead.is_cached(kernel)
     os.utime(index, (1, 1))  # older than the source
-    assert not numba_ahead.is_cached(kernel)
+    assert not ahead.is_cached(kernel)
     kernel.stats.cache_path = None  # nowhere to leave anything
-    assert numba_ahead.is_cached(kernel)
+    assert ahead.is_cached(kernel)
 
 
 AHEAD = """
@@ -269,12 +269,12 @@ import sys
 sys.path.insert(0, {tests!r})
 import torch
 from splat_scenes import make_scene
-from occfusion.splat.backends import numba_ahead
-started, start = [], numba_ahead.start
-numba_ahead.start = lambda: (start(), started.extend(numba_ahead._helpers))
+from occfusion.splat.backends.numba import ahead
+started, start = [], ahead.start
+ahead.start = lambda: (start(), started.extend(ahead._helpers))
 {before}
 make_scene(n=5, dtype=torch.float32).render("numba").rgb.sum().backward()
-from occfusion.splat.backends.numba_project_backward import project_backward_part as kernel
+from occfusion.splat.backends.numba.project import project_backward_part as kernel
 print(len(started), sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values()))
 """
 
@@ -282,7 +282,7 @@ print(len(started), sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cach
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "expected"),
-    [("", ["1 1 0", "0 1 0"]), ("numba_ahead.PROGRAM = 'raise SystemExit(3)'", ["1 0 1"])],
+    [("", ["1 1 0", "0 1 0"]), ("ahead.PROGRAM = 'raise SystemExit(3)'", ["1 0 1"])],
     ids=["helped", "failed"],
 )
 def test_a_second_process_compiles_ahead(tmp_path: Path, before: str, expected: list[str]) -> None:

@@ -80,7 +80,7 @@ def _choose(device: str, dtype: torch.dtype) -> tuple[str, str]:
 def render_with(backend: str, request: Request) -> Layers:
     """Returns the layers of a resolved backend; only the backend that runs is imported."""
     if backend == "numba":
-        from occfusion.splat.backends import numba_backend
+        from occfusion.splat.backends.numba import backend as numba_backend
 
         return numba_backend.render(request)
     if backend == "gsplat":

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from occfusion.cpu.compilation import inline, kernel, step
-from occfusion.splat.backends.numba_blocks import (
+from occfusion.splat.backends.numba.bins import (
     GROUP,
     HALF,
     blending_blocks,
@@ -16,7 +16,7 @@ from occfusion.splat.backends.numba_blocks import (
     reached_blocks,
     tile_centre,
 )
-from occfusion.splat.backends.numba_layout import (
+from occfusion.splat.backends.numba.layout import (
     BLOCK,
     BLOCK_COLUMNS,
     BLOCK_SIZE,
@@ -95,7 +95,8 @@ def blend_part(
     Kept for the backward pass, in `kept` `[tiles, 2, TILE_LANES]` the final transmittance, and for each lane
     the number (in the tile's list) of the last splat met before blending stopped; in `blended` `[pairs]` the set
     of blocks that each entry of a list was blended into.
-    Working space of each part: `all_planes`, `all_groups` (of `numba_arrays`), `all_reached` int32 `[parts, GROUP]`.
+    Working space of each part: `all_planes`, `all_groups` (`backend.working_space`), `all_reached` int32
+    `[parts, GROUP]`.
     `grid` is (x, y, tiles in a row) of the crop, `limits` is (alpha_max, alpha_min, stop).
     """
     alpha_max, alpha_min, stop = limits[0], limits[1], limits[2]

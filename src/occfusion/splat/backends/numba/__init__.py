@@ -1,0 +1,1 @@
+"""The `numba` backend: everything on the CPU in compiled loops, float32."""
