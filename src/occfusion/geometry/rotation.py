@@ -117,27 +117,6 @@ def matrix_to_quaternion(matrices: Tensor) -> Tensor:
     return torch.where(unit[..., :1] < 0, -unit, unit)
 
 
-def quaternion_to_axis_angle(quats: Tensor) -> Tensor:
-    """Returns the axis-angle vectors `[..., 3]`, angle in 0..pi radians, of quaternions `[..., 4]`."""
-    unit = normalize_quaternion(quats)
-    unit = torch.where(unit[..., :1] < 0, -unit, unit)
-    real, imaginary = unit[..., :1], unit[..., 1:]
-    squared = (imaginary * imaginary).sum(-1, keepdim=True)
-    is_small = squared < _SERIES_BELOW * 1e-2
-    length = torch.where(is_small, 1.0, squared).sqrt()
-    # angle = 2 atan2(length, real); near 0 the series of atan(u) / u in u = length / real
-    ratio = squared / torch.where(is_small, real, 1.0) ** 2
-    series = 2 * (1 - ratio * (1 / 3 - ratio * (1 / 5 - ratio * (1 / 7 - ratio / 9))))
-    near = series / torch.where(is_small, real, 1.0)
-    far = 2 * torch.atan2(length, real) / length
-    return torch.where(is_small, near, far) * imaginary
-
-
-def matrix_to_axis_angle(matrices: Tensor) -> Tensor:
-    """Returns the axis-angle vectors `[..., 3]`, angle in 0..pi radians, of rotations `[..., 3, 3]`."""
-    return quaternion_to_axis_angle(matrix_to_quaternion(matrices))
-
-
 def z_axis_to(directions: Tensor) -> Tensor:
     """Returns the quaternions of the shortest turns of +z to `directions [..., 3]` of length 1, `[..., 4]`, w first.
 
