@@ -43,7 +43,7 @@ with initialize_config_dir(sys.argv[1], version_base="1.3"):
     app.run(compose("config", sys.argv[2:]), folder_chosen_by_user=True)
 # Those that evaluations alone need are compiled for these: no training waits for them.
 assert len(at_start) >= 10, at_start
-others = ("pool_places", "sum_distances")
+others = ("transform_tiles", "finish_tiles", "pool_places", "sum_distances")
 expected = {k: int(k not in others) for k in at_start}
 assert {k: len(s) for k, s in at_start.items()} == expected, at_start
 assert compiled() == at_start, (compiled(), at_start)

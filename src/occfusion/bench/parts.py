@@ -23,6 +23,8 @@ from occfusion.types import Box
 
 PERCEPTUAL_CROP = 128
 """Pixels of the window that the perceptual term sees in a training step."""
+FIGURE_SIDE = 256
+"""Pixels at most of the side of a picture that a perceptual figure is computed of."""
 PADDING = 8
 """Pixels around the person in a training step's crop."""
 
@@ -68,6 +70,7 @@ def step_parts(backend: str, gaussians: int, size: int, seed: int) -> dict[str, 
         f"L1 and mask L2, {w} x {h} px": colours_and_mask,
         f"SSIM, {w} x {h} px": structure,
         **_perceptual_parts(picture, target, (x, y, w, h)),
+        **_figure_parts(backend, gaussians, min(size, FIGURE_SIDE), seed),
         **_distillation_parts(out.alpha[y : y + h, x : x + w].contiguous(), box, backend),
     }
 
@@ -120,6 +123,18 @@ def _distillation_parts(alpha: Tensor, box: Box, backend: str) -> dict[str, Call
         f"distillation, {prior.name} {prior.size} px, the frame's pose": posed,
         f"distillation, {prior.name} {prior.size} px, the canonical pose": canonical,
         f"the prior's conditions, {prior.size} px, once a frame": lambda: prior.encode_conditions(view),
+    }
+
+
+def _figure_parts(backend: str, gaussians: int, size: int, seed: int) -> dict[str, Callable[[], object]]:
+    """Returns a figure of a person over black: where it can differ from black alone, and of the whole picture."""
+    metric, scene = load_perceptual("stlpips"), make_scene(SceneSize(gaussians, size), seed)
+    with torch.no_grad():
+        picture = rasterize(**scene.arguments(scene.leaves()), backend=backend).rgb.clamp(0, 1)
+    other = 0.9 * picture
+    return {
+        f"{metric.name} figure, {size} px, over black": lambda: metric.over_black(picture, other),
+        f"{metric.name} figure, {size} px, whole": lambda: metric(picture, other),
     }
 
 

@@ -115,23 +115,14 @@ def transform_tiles(
 
 @kernel
 def finish_tiles(
-    products: Any,
-    tiles: Any,
-    bias: Any,
-    floor: Any,
-    corner: Any,
-    out: Any,
-    spaces: Any,
-    part: int,
-    parts: int,
+    products: Any, tiles: Any, bias: Any, corner: Any, out: Any, spaces: Any, part: int, parts: int
 ) -> None:
-    """Writes A^T M A + bias of each tile, or `floor` where that is less, into the part `out` of a map.
+    """Writes A^T M A + bias of each tile, rectified, into the part `out` of a map.
 
     Args:
         products: M, `[36, T or more, K/LANES, LANES]`.
         tiles: as in `transform_tiles`.
         bias: `[K/LANES, LANES]`.
-        floor: 0 rectifies; minus infinity does nothing.
         corner: row and column of `out`, int64 `[2]`.
         out: `[N, h, w, K/LANES, LANES]`; results outside it are dropped.
         spaces: working space `[threads, SPACE]`.
@@ -171,7 +162,7 @@ def finish_tiles(
                 for j in range(min(4, out.shape[2] - x)):
                     o = (SIDE * i + j) * LANES
                     for c in range(lanes):
-                        out[n, y + i, x + j, g, c] = max(space[o + c] + bias[g, c], floor)
+                        out[n, y + i, x + j, g, c] = max(space[o + c] + bias[g, c], _0)
 
 
 @inline

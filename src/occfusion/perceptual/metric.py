@@ -60,12 +60,6 @@ class PerceptualMetric(nn.Module):
         """Returns this metric computed in another type, for a training term: a figure is named for float32 alone."""
         return self if dtype == self.network.dtype else copy.deepcopy(self).to(dtype)
 
-    @torch.no_grad()
-    def warm_up(self) -> None:
-        """Compiles what the first step of a training would wait for."""
-        black = torch.zeros(SMALLEST, SMALLEST, 3, device=self.network.mean.device)
-        self(black, black)
-
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
         """Returns the distance of two pictures, a scalar that is differentiable in the first of them.
 

@@ -8,9 +8,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from occfusion.perceptual import winograd
-from occfusion.perceptual.winograd import TileLayers
-
 BLOCKS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
 """Output channels of the 3x3 convolutions between two poolings (Simonyan and Zisserman, configuration D)."""
 _MEAN = (-0.030, -0.088, -0.188)
@@ -64,7 +61,6 @@ class VggFeatures(nn.Module):
         self.register_buffer("spread", torch.tensor(_SPREAD).view(1, 3, 1, 1))
         binomial = torch.tensor(_BINOMIAL)
         self.register_buffer("binomial", torch.outer(binomial, binomial)[None, None])
-        self.tiles = TileLayers()
 
     @property
     def dtype(self) -> torch.dtype:
@@ -99,8 +95,6 @@ class VggFeatures(nn.Module):
     def convolve(self, x: Tensor, name: str, padding: int = 1) -> Tensor:
         """Returns the rectified result of one of the 13 convolutions."""
         weight, bias = self.layer(name)
-        if padding == 1 and winograd.pays(x, weight):
-            return winograd.convolve(x, name, weight, bias, self.tiles)
         return F.relu_(F.conv2d(x, weight, bias, padding=padding))
 
     def layer(self, name: str) -> tuple[Tensor, Tensor]:

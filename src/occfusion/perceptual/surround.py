@@ -3,7 +3,8 @@
 Far from any lit pixel the activations are those of an entirely black picture. They depend on the distance to the
 picture's borders alone, so they are computed once on a small black picture, and each layer is evaluated only where
 a lit pixel can be felt: that region grows by one position with each convolution and halves with each pooling.
-Convolutions are Winograd's (`winograd`). Float32 on a CPU.
+Convolutions are Winograd's (`winograd`). Float32 on a CPU. The same in torch's convolutions takes 2.5 times as long,
+the whole pictures 4 to 7 times (`docs/reference/bench.md`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from torch import Tensor
 from occfusion.cpu.compilation import run_parts
 from occfusion.perceptual.kernels import LANES, pool_places, sum_distances
 from occfusion.perceptual.network import BLOCKS, VggFeatures
-from occfusion.perceptual.winograd import working_space
+from occfusion.perceptual.winograd import TileConvolution, working_space
 
 SMALL = 320
 """Least side in pixels of the small black picture. The borders are felt 8 positions deep in the last block, that is
@@ -71,6 +72,7 @@ class BlackSurround:
     def __init__(self, network: VggFeatures) -> None:
         self._network = network
         self._black: dict[tuple[object, ...], list[Array]] = {}
+        self._tiles: dict[str, TileConvolution] = {}
 
     def __deepcopy__(self, memo: dict[int, object]) -> BlackSurround:
         copied: VggFeatures = memo.get(id(self._network), self._network)  # type: ignore[assignment]
@@ -127,8 +129,9 @@ class BlackSurround:
                 working_space(),
             )
         elif before is not None:
-            layer = self._network.tiles.forward(step, *self._network.layer(step))
-            layer.write(before.source(), chosen, result.corner, values)
+            if step not in self._tiles:
+                self._tiles[step] = TileConvolution(*self._network.layer(step))
+            self._tiles[step].write(before.source(), chosen, result.corner, values)
         return result
 
     def _first(self, pictures: Tensor, rows: tuple[int, int], columns: tuple[int, int], step: str) -> Array:

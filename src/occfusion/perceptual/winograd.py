@@ -4,6 +4,9 @@ Winograd's F(4 x 4, 3 x 3): Lavin and Gray, CVPR 2016, section 4. A 4 x 4 tile o
 input, D. With the constant matrices B, G and A of that paper it is A^T [(G w G^T) * (B^T D B)] A, summed over the
 input's channels: 36 products where the plain sum has 144. The sums over channels are matrix products of many tiles at
 once. Results agree with the plain sum to about 1e-5 of the largest.
+
+Only figures are computed by it (`surround`), where it pays: a step's term takes torch's convolutions, which reach 86 to
+91 % of its speed. The numbers are in `docs/reference/bench.md`.
 """
 
 from __future__ import annotations
@@ -11,7 +14,6 @@ from __future__ import annotations
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from occfusion.cpu.compilation import run_parts
 from occfusion.perceptual.kernels import LANES, SPACE, finish_tiles, transform_tiles
@@ -21,10 +23,6 @@ WORDS = 300_000
 """Numbers of a chunk's transformed tiles: what the second cache of a core holds."""
 LEAST_CHUNK = 96
 """Tiles that a chunk has at least: rows enough for a matrix product to be worth reading its filters."""
-LEAST_TILES = 64
-"""Tiles below which the transformed filters, four times as large as the weights, cost more than they save."""
-LARGEST = 256 * 256
-"""Products of channel counts above which a few tiles do not pay, nor the memory, in training."""
 _G = (
     (1 / 4, 0.0, 0.0),
     (-1 / 6, -1 / 6, -1 / 6),
@@ -36,26 +34,24 @@ _G = (
 
 
 class TileConvolution:
-    """A 3x3 convolution with bias, rectified or not.
+    """A 3x3 convolution with bias, rectified.
 
     Args:
         weight: `[K, C, 3, 3]`; both channel counts multiples of 64.
-        bias: `[K]`; None for none.
-        rectified: set what is negative to 0.
+        bias: `[K]`.
 
     Raises:
         ValueError: other counts of channels.
     """
 
-    def __init__(self, weight: Tensor, bias: Tensor | None, *, rectified: bool = True) -> None:
+    def __init__(self, weight: Tensor, bias: Tensor) -> None:
         outgoing, incoming = weight.shape[:2]
         if incoming % LANES or outgoing % LANES:
             raise ValueError(f"channels come in multiples of {LANES}, got {incoming} and {outgoing}")
         g = torch.tensor(_G)
         by_place = weight.permute(2, 3, 1, 0).reshape(9, -1)  # so that the product lies as it is read
         self._filters = (torch.kron(g, g) @ by_place).view(36, incoming, outgoing)
-        self._bias = grouped(weight.new_zeros(outgoing) if bias is None else bias.contiguous())
-        self._floor = np.float32(0 if rectified else -np.inf)
+        self._bias = grouped(bias.contiguous())
 
     def write(
         self, source: tuple[np.ndarray, ...], chosen: Tensor, corner: np.ndarray, out: np.ndarray
@@ -78,79 +74,7 @@ class TileConvolution:
             count, places = len(chunk), chunk.numpy()
             run_parts(transform_tiles, *source, places, grouped(inputs), spaces)
             torch.bmm(inputs[:, :count], self._filters, out=products[:, :count])
-            run_parts(finish_tiles, grouped(products), places, self._bias, self._floor, corner, out, spaces)
-
-    def __call__(self, x: Tensor) -> Tensor:
-        """Returns the result for a whole map `[N, C, h, w]`, 0 around it, of its size; channels last in memory."""
-        values = x.permute(0, 2, 3, 1).contiguous()
-        pictures, height, width, _ = values.shape
-        nothing = np.empty((0, 0, 1, LANES), np.float32)
-        whole, corner = torch.ones(height, width, dtype=torch.bool), np.zeros(2, np.int64)
-        out = torch.empty(pictures, height, width, self._filters.shape[2])
-        places = np.zeros(height, np.int64), np.zeros(width, np.int64)
-        source = (grouped(values), whole.numpy(), nothing, *places, corner)
-        self.write(source, whole, corner, grouped(out))
-        return out.permute(0, 3, 1, 2)
-
-
-class TileLayers:
-    """The tile convolutions of a network's layers and of their gradients, each made when it is first asked for."""
-
-    def __init__(self) -> None:
-        self._made: dict[tuple[str, str], TileConvolution] = {}
-
-    def __deepcopy__(self, memo: dict[int, object]) -> TileLayers:
-        return TileLayers()  # a copied network may be converted to another type
-
-    def forward(self, name: str, weight: Tensor, bias: Tensor) -> TileConvolution:
-        """Returns the rectified convolution of a layer."""
-        key = name, "forward"
-        if key not in self._made:
-            self._made[key] = TileConvolution(weight, bias)
-        return self._made[key]
-
-    def backward(self, name: str, weight: Tensor) -> TileConvolution:
-        """Returns what gives the gradient of a layer's input from that of its result before it was rectified."""
-        key = name, "backward"
-        if key not in self._made:
-            self._made[key] = TileConvolution(weight.transpose(0, 1).flip(2, 3), None, rectified=False)
-        return self._made[key]
-
-
-def pays(x: Tensor, weight: Tensor) -> bool:
-    """Returns whether a layer's input `[N, C, h, w]` and weight are such that tiles can do it, and fast."""
-    outgoing, incoming = weight.shape[:2]
-    tiles = x.shape[0] * -(-x.shape[2] // TILE) * -(-x.shape[3] // TILE)
-    return (
-        x.device.type == "cpu"
-        and x.dtype == weight.dtype == torch.float32
-        and incoming % LANES == outgoing % LANES == 0
-        and incoming * outgoing <= LARGEST
-        and tiles >= LEAST_TILES
-    )
-
-
-def convolve(x: Tensor, name: str, weight: Tensor, bias: Tensor, layers: TileLayers) -> Tensor:
-    """Returns a layer's rectified result, differentiable in its input."""
-    result: Tensor = _Convolve.apply(x, name, weight, bias, layers)
-    return result
-
-
-class _Convolve(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, x, name, weight, bias, layers):  # type: ignore[no-untyped-def]
-        out = layers.forward(name, weight, bias)(x)
-        ctx.save_for_backward(out, weight)
-        ctx.name, ctx.layers = name, layers
-        return out
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx, grad):  # type: ignore[no-untyped-def]
-        out, weight = ctx.saved_tensors
-        if not ctx.needs_input_grad[0]:
-            return (None,) * 5
-        return ctx.layers.backward(ctx.name, weight)(grad * (out > 0)), None, None, None, None
+            run_parts(finish_tiles, grouped(products), places, self._bias, corner, out, spaces)
 
 
 def working_space() -> np.ndarray:

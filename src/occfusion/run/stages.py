@@ -205,10 +205,6 @@ def _warm_up(run_: Run, stage: str) -> None:
     """Compiles what the first step would wait for, so that the first run on a machine trains no longer than others."""
     started = time.perf_counter()
     run_.renderer.warm_up()
-    metric = run_.training_metric
-    weight: float = getattr(run_.plan.settings, stage).lambda_lpips
-    if metric is not None and weight > 0:
-        metric.warm_up()
     seconds = time.perf_counter() - started
     if seconds >= WARM_UP_SAID:
         print(
