@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from occfusion.data.checking.coverage import inspect_coverage
 from occfusion.data.checking.fit import draw_overlay, inspect_fit, inspect_other_cameras, inspect_registration
 from occfusion.data.checking.inspection import (
     Finding,
@@ -29,7 +30,8 @@ from occfusion.data.zju.stored_vertices import compare_with_stored
 from occfusion.data.zju.zju_layout import ZjuScene
 from occfusion.errors import ConfigError, OccfusionError
 from occfusion.files.atomic import write_png
-from occfusion.human import embedded_body, load_body
+from occfusion.human import Body, embedded_body, load_body
+from occfusion.human.coverage_picture import draw_coverage
 
 COLOURS = {"ok": "green", "note": "cyan", "doubt": "yellow", "error": "red"}
 PARTS = (
@@ -40,6 +42,7 @@ PARTS = (
     inspect_fit,
     inspect_registration,
     inspect_other_cameras,
+    inspect_coverage,
 )
 EXIT_DOUBT = 2
 
@@ -53,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--layout", default=AUTO, choices=(AUTO, *(layout.name for layout in LAYOUTS)),
-        help="how to read a folder that could be read in several ways (default: inspection)",
+        help="how to read a folder that could be read in several ways (default: look)",
     )  # fmt: skip
     parser.add_argument("--camera", type=int, default=0, help="index of the training camera (default: 0)")
     parser.add_argument("--masks", help="mask folder (default: the layout's)")
@@ -102,6 +105,15 @@ def _check(folder: Path, arguments: argparse.Namespace) -> str:
         write_png(path, picture)
         console.print(
             f"overlay (mask green, body red, joints yellow): {path}", highlight=False, soft_wrap=True
+        )
+    if inspection is not None and inspection.coverage is not None and isinstance(inspection.poser.body, Body):
+        path = (arguments.overlay or Path(f"check_{inspection.scene.name}.png")).with_suffix("")
+        path = path.with_name(f"{path.name}_directions.png")
+        write_png(path, draw_coverage(inspection.poser.body, inspection.coverage))
+        console.print(
+            f"directions (green: seen from many, yellow: from one, red: not at all): {path}",
+            highlight=False,
+            soft_wrap=True,
         )
     level = worst(findings)
     verdict = {

@@ -14,6 +14,7 @@ from occfusion.data.posing import Poser
 from occfusion.data.scene import Array, BodyParameters, Calibration, Scene
 from occfusion.errors import DataError, OccfusionError
 from occfusion.files.images import image_size
+from occfusion.human.coverage import BodyCoverage
 
 LEVELS = ("ok", "note", "doubt", "error")
 
@@ -83,6 +84,7 @@ class Inspection:
         sound: calibrations that could be read, by index.
         bodies: body parameters that could be read, by frame.
         people: what the masks of the frames that were opened show.
+        coverage: how well the training camera shows the body, once that was looked at.
     """
 
     scene: Scene
@@ -91,6 +93,7 @@ class Inspection:
     sound: dict[int, Calibration] = field(default_factory=dict)
     bodies: dict[int, BodyParameters] = field(default_factory=dict)
     people: dict[int, survey.Person] = field(default_factory=dict)
+    coverage: BodyCoverage | None = None
 
     def view(self, frame: int) -> Calibration:
         """Returns the camera that is to be trained on, as it was at a frame."""

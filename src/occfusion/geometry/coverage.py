@@ -1,0 +1,195 @@
+"""How often, and from how many directions, each place of a body's surface is seen.
+
+A place is a vertex. A view sees it where it projects onto a pixel that shows the person, nothing of the body lies in
+front, and the surface faces the camera. One look counts as much as the cosine of the angle between the surface's
+normal and the direction to the camera: grazing looks count little. Directions are compared in a frame that is fixed to
+the surface, so that a limb that turns is seen from several directions as if the camera had gone round it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occfusion.geometry.camera import NEAR, project_vertices
+from occfusion.geometry.distance import nearest_set
+from occfusion.geometry.normals import vertex_normals
+from occfusion.geometry.zbuffer import NO_FACE, ZBuffer, rasterize_mesh
+
+Floats = NDArray[np.float64]
+
+UNSEEN, ONE, MANY = 0, 1, 2
+"""Classes of places: not seen, seen from one direction, seen from many."""
+
+GRAZING = 0.2
+"""Cosine below which a look shows nothing of a place: 78 degrees from the normal."""
+SEEN = 0.5
+"""Sum of looks from which a place counts as seen: one at 60 degrees or two at 75."""
+CONE = 30.0
+"""Degrees about their mean within which looks are one direction."""
+MOST = 0.95
+"""Share of the looks that has to lie within the cone; the rest may be a moment's error of pose."""
+SLACK = 0.01
+"""Metres that a place may lie behind the surface at its pixel; besides half a pixel's diagonal along the slope."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One view of a body.
+
+    Attributes:
+        vertices: posed, in the world, `[V, 3]`, metres.
+        pixels: where they appear, `[V, 2]`, pixels (centres at +0.5).
+        depths: along the optical axis, `[V]`, metres.
+        centre: of the camera, `[3]`, metres.
+        focal: length in pixels.
+        visible: pixels that show the person, bool `[H, W]`.
+    """
+
+    vertices: Floats
+    pixels: Floats
+    depths: Floats
+    centre: Floats
+    focal: float
+    visible: NDArray[np.bool_]
+
+    @classmethod
+    def through(cls, vertices: Floats, viewmat: Floats, K: Floats, visible: NDArray[np.bool_]) -> Sighting:
+        """Returns the view of a pinhole camera, world to camera `[4, 4]` and intrinsics `[3, 3]`."""
+        pixels, depths = project_vertices(vertices, viewmat, K)
+        centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
+        return cls(vertices, pixels, depths, centre, float(K[0, 0]), visible)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How well places are seen.
+
+    Attributes:
+        views: how many views were looked at.
+        looks: sum of the looks at each place, `[V]`.
+        spread: degrees about their mean direction within which `MOST` of the looks at a place lie, `[V]`; NaN where
+            it was not seen.
+    """
+
+    views: int
+    looks: Floats
+    spread: Floats
+
+    @property
+    def classes(self) -> NDArray[np.int8]:
+        """Each place's class, `[V]`: `UNSEEN`, `ONE` or `MANY`."""
+        seen = self.looks >= SEEN
+        return np.where(seen, np.where(np.nan_to_num(self.spread) > CONE, MANY, ONE), UNSEEN).astype(np.int8)
+
+
+def cover(sightings: Iterable[Sighting], faces: NDArray[np.integer]) -> Coverage | None:
+    """Returns how well each place is seen; None without any view.
+
+    Args:
+        sightings: views of the same body.
+        faces: triangles, `[F, 3]`, corners counter-clockwise from outside.
+    """
+    weights, directions = [], []
+    for sighting in sightings:
+        weight, direction = looks(sighting, faces)
+        weights.append(weight.astype(np.float32))
+        directions.append(direction.astype(np.float32))
+    if not weights:
+        return None
+    weight, direction = np.stack(weights), np.stack(directions)
+    return Coverage(len(weights), weight.sum(axis=0, dtype=np.float64), _spread(weight, direction))
+
+
+def looks(sighting: Sighting, faces: NDArray[np.integer]) -> tuple[Floats, Floats]:
+    """Returns how much one view shows of each place, and from where.
+
+    Args:
+        sighting: the view.
+        faces: triangles, `[F, 3]`.
+
+    Returns:
+        cosines `[V]`, 0 where a place is not seen, and directions to the camera in the frame of each place, `[V, 3]`:
+        along an edge, across it, along the normal.
+    """
+    points, visible = sighting.vertices, sighting.visible
+    height, width = visible.shape
+    pixels, depths = sighting.pixels, sighting.depths
+    towards = sighting.centre - points
+    towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+    frames = surface_frames(points, faces)
+    direction = np.einsum("vij,vj->vi", frames, towards)
+    cosine = direction[:, 2]
+    # comparisons before the conversion to integers: coordinates may be huge
+    inside = (depths > NEAR) & (pixels >= 0).all(axis=1) & (pixels < (width, height)).all(axis=1)
+    shown = inside & (cosine > GRAZING)
+    column, row = np.floor(pixels[shown]).astype(np.int64).T
+    nearest = rasterize_mesh(pixels, depths, faces, width, height).depth[row, column]
+    slope = np.sqrt(1.0 - np.minimum(cosine[shown], 1.0) ** 2) / cosine[shown]
+    slack = SLACK + np.sqrt(0.5) * depths[shown] / sighting.focal * slope
+    shown[shown] = visible[row, column] & (depths[shown] <= nearest + slack)
+    return np.where(shown, cosine, 0.0), direction
+
+
+def surface_frames(points: Floats, faces: NDArray[np.integer]) -> Floats:
+    """Returns a frame fixed to each place of a surface, `[V, 3, 3]`: rows are an edge in the plane, across, normal.
+
+    The edge goes to the next corner of the first triangle that has the place; a place without one has zeros.
+
+    Args:
+        points: `[V, 3]`.
+        faces: `[F, 3]`.
+    """
+    normal = vertex_normals(points, faces)
+    partner = np.arange(len(points))
+    corners, first = np.unique(faces.ravel(), return_index=True)
+    partner[corners] = faces[first // 3, (first + 1) % 3]
+    edge = points[partner] - points
+    edge -= normal * (edge * normal).sum(axis=1, keepdims=True)
+    edge /= np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-12)
+    return np.stack([edge, np.cross(normal, edge), normal], axis=1)
+
+
+def _spread(weight: NDArray[np.float32], direction: NDArray[np.float32]) -> Floats:
+    """Returns the angle about the mean direction that holds `MOST` of the looks, `[V]`, degrees."""
+    mean = np.einsum("tv,tvi->vi", weight, direction)
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    angle = np.degrees(np.arccos(np.clip(np.einsum("tvi,vi->tv", direction, mean), -1.0, 1.0)))
+    order = np.argsort(angle, axis=0)
+    share = np.cumsum(np.take_along_axis(weight, order, axis=0), axis=0, dtype=np.float64)
+    enough = (share >= MOST * share[-1] - 1e-9).argmax(axis=0)
+    spread = np.take_along_axis(np.take_along_axis(angle, order, axis=0), enough[None], axis=0)[0]
+    return np.where(share[-1] > 0, spread, np.nan)
+
+
+def vertex_areas(points: Floats, faces: NDArray[np.integer]) -> Floats:
+    """Returns the area that belongs to each vertex, `[V]`: a third of its triangles'."""
+    a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
+    return np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(points)).astype(np.float64)
+
+
+def class_picture(
+    classes: NDArray[np.int8], seen: ZBuffer, faces: NDArray[np.integer], mask: NDArray[np.bool_]
+) -> NDArray[np.int8] | None:
+    """Returns the class of the place that each pixel of a person shows, `[H, W]`, -1 outside of the mask.
+
+    Clothes and hair beyond the body's outline take the class of the nearest pixel that shows the body. None where the
+    body is not in the picture.
+
+    Args:
+        classes: of the vertices, `[V]`.
+        seen: the body in the picture.
+        faces: triangles, `[F, 3]`.
+        mask: the person, bool `[H, W]`.
+    """
+    body = seen.face != NO_FACE
+    if not body.any():
+        return None
+    corner = seen.barycentrics.argmax(axis=2)
+    own = classes[faces[seen.face, corner]]  # nonsense where there is no face, and never read there
+    nearest = own.ravel()[nearest_set(body)]
+    return np.where(mask, nearest, -1).astype(np.int8)
