@@ -86,7 +86,10 @@ def test_run_folder_holds_what_the_interface_promises(train: Train) -> None:
     for file in CONTRACT_FILES:
         assert (folder / file).stat().st_size > 0, file
     assert json.loads((folder / "metrics.json").read_text()) == metrics
-    assert set(metrics["regions"]) == {"full", "box", "visible", "hidden"}
+    assert set(metrics["regions"]) == {"full", "box", "visible", "hidden", "seen_many", "seen_one", "unseen"}
+    seen = json.loads((folder / "plan.json").read_text())["coverage"]
+    assert seen["seen_many"] + seen["seen_one"] + seen["unseen"] == pytest.approx(1.0, abs=1e-3)
+    assert metrics["camera_gain"] == "none" and metrics["camera_gains"] is None
     assert metrics["regions"]["full"]["lpips"] is None
     assert metrics["perceptual_metric"] is None
     assert metrics["images"] == 4

@@ -66,6 +66,9 @@ def test_a_sound_folder(scene, capsys, tmp_path):
     assert "original: 4 frames, 2 cameras" in said and "det R 1.0" in said
     picture = cv2.imread(str(tmp_path / "check_001-clean.png"))
     assert picture.shape == (480, 4 * 480, 3)
+    assert "of the body's surface is seen from many directions" in said
+    directions = cv2.imread(str(tmp_path / "check_001-clean_directions.png"))
+    assert directions.shape[0] == 480
     colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
     assert {(60, 220, 40), (40, 60, 240), (40, 230, 255)} <= colours  # mask, body and joints, as BGR
 
@@ -219,3 +222,12 @@ def test_words():
         raise DataError("second")
 
     assert [finding.text for finding in guarded("a", fails)] == ["first", "second"]
+
+
+def test_who_does_not_turn_is_told_without_a_doubt(tmp_path, capsys):
+    spec = SceneSpec(3, "clean", image_size=96, frames=8, cameras=1, turn=20)
+    folder = write_scene(tmp_path / "scenes", spec, progress=False)
+    code, said = check(capsys, folder, "--strict", "--overlay", tmp_path / "look.png")
+    assert code == 0 and "doubt" not in said
+    assert "nobody sees the back" in said and "will be a guess" in said
+    assert (tmp_path / "look_directions.png").is_file()

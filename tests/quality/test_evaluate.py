@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 
@@ -14,6 +15,8 @@ from occfusion.evaluation.evaluate import (
     summarise,
     write_per_image_csv,
 )
+from occfusion.evaluation.gain import camera_gains, with_gains
+from occfusion.geometry.coverage import MANY, ONE, UNSEEN
 from occfusion.types import Camera, Frame, Pose, Rendering, Truth
 from oracles import quality as oracle
 from quality.pictures import noise
@@ -155,7 +158,7 @@ def test_a_perfect_rendering():
     perfect = Rendering(seen.truth.rgb, seen.truth.mask.float(), seen.truth.mask.float(), torch.zeros(0, 2))
     rows = evaluate_image(perfect, seen, REGIONS, None)
     assert all((row.psnr, row.ssim, row.mask_iou) == (100, 1, 1) for row in rows)
-    assert all(figures["psnr_capped"] == 1 for figures in summarise(rows).values())
+    assert all(summarise(rows)[region]["psnr_capped"] == 1 for region in REGIONS)
 
 
 def test_frames_are_taken_one_at_a_time_without_gradients():
@@ -195,6 +198,7 @@ def test_summary_counts_every_image_once_and_leaves_out_what_is_missing():
     assert summary["full"] == {
         "psnr": 60.0, "ssim": pytest.approx(0.6), "lpips": 0.25, "mask_iou": 1.0,
         "depth_error_mm": None, "images": 2, "lpips_images": 1, "depth_images": 0, "psnr_capped": 1,
+        "spill": None, "holes": None,
     }  # fmt: skip
     empty = {
         "psnr": None,
@@ -206,6 +210,8 @@ def test_summary_counts_every_image_once_and_leaves_out_what_is_missing():
         "lpips_images": 0,
         "depth_images": 0,
         "psnr_capped": 0,
+        "spill": None,
+        "holes": None,
     }
     assert summary["hidden"] == summary["box"] == empty
 
@@ -220,3 +226,97 @@ def test_per_image_csv(tmp_path):
     assert [line["region"] for line in lines] == ["visible", "hidden"]
     assert lines[0]["camera"] == "3" and lines[0]["frame"] == "7" and float(lines[0]["psnr"]) > 5
     assert lines[1]["psnr"] == lines[1]["mask_iou"] == ""
+
+
+def test_regions_by_what_training_saw():
+    """Each pixel of the true mask belongs to the class of the place that it shows; a rim beyond it to none."""
+    shown = np.full((HEIGHT, WIDTH), -1, np.int8)
+    shown[PERSON.numpy()] = UNSEEN
+    shown[10:30, 12:36] = MANY
+    shown[30:40, 12:36] = ONE
+    shown[0:5] = ONE  # outside the mask: does not count
+    names = ("seen_many", "seen_one", "unseen")
+    rows = by_region(evaluate_image(rendering(), frame(), names, None, lambda _: shown))
+    parts = {"seen_many": (10, 30), "seen_one": (30, 40), "unseen": (40, 50)}
+    for name, lines in parts.items():
+        pixels = rectangle(lines, (12, 36))
+        assert rows[name].pixels == int(pixels.sum())
+        assert rows[name].psnr == pytest.approx(exact(pixels, pixels)[0], abs=1e-4)
+        assert rows[name].mask_iou == 1 and rows[name].lpips is None
+    # the three together are the person: nothing is counted twice or lost
+    assert sum(row.pixels for row in rows.values()) == int(PERSON.sum())
+
+
+@pytest.mark.parametrize("classes", [None, lambda _: None])
+def test_what_was_seen_is_null_where_it_is_not_known(classes):
+    rows = evaluate_image(rendering(), frame(), ("full", "seen_many", "unseen"), None, classes)
+    assert [row.pixels > 0 for row in rows] == [True, False, False]
+    assert all(summarise(rows)[name]["psnr"] is None for name in ("seen_many", "unseen"))
+
+
+def test_spill_and_holes_of_a_picture():
+    wrong = PERSON & ~rectangle((20, 30), (16, 32)) | rectangle((20, 30), (40, 48))
+    drawn = rendering(wrong)
+    row = by_region(evaluate_image(drawn, frame(), ("full", "box"), None))["full"]
+    truth = frame().truth.rgb.double().numpy()
+    error = inside = 0.0
+    missing = deep = 0
+    for y in range(HEIGHT):
+        for x in range(WIDTH):
+            square = float(((drawn.rgb[y, x].double().numpy() - truth[y, x]) ** 2).sum())
+            error += square
+            inside += square * bool(PERSON[y, x])
+            if (
+                11 <= y < 49 and 13 <= x < 35
+            ):  # a pixel off each edge: a hundredth of 40 rows is less than one
+                deep += 1
+                missing += not wrong[y, x]
+    assert row.spill == pytest.approx(1 - inside / error)
+    assert row.holes == pytest.approx(missing / deep)
+    assert missing == 160 and deep == 38 * 22
+
+
+def test_spill_and_holes_are_none_where_nothing_tells():
+    perfect = Rendering(frame().truth.rgb, PERSON.float(), PERSON.float(), torch.zeros(0, 2))
+    row = evaluate_image(perfect, frame(), ("full",), None)[0]
+    assert row.spill is None and row.holes == 0
+    thin = rectangle((10, 50), (12, 14))
+    assert evaluate_image(rendering(thin), frame(person=thin), ("full",), None)[0].holes is None
+    assert evaluate_image(rendering(), frame(), ("box",), None)[0].spill is None
+
+
+def test_a_gain_is_the_least_squares_one_of_each_camera():
+    gains = {3: (0.5, 0.8, 1.25), 4: (1.0, 2.0, 0.7)}
+    made = noise(HEIGHT, WIDTH)[0].float() * 0.4 * PERSON[..., None]
+
+    def seen(camera: int) -> Frame:
+        rgb = made * torch.tensor(gains[camera])
+        rgb[0, 0] = 1.0  # outside the person: does not count
+        return frame(camera_index=camera, truth=Truth(rgb, PERSON))
+
+    def render(_: Frame) -> Rendering:
+        return Rendering(made, PERSON.float(), PERSON.float(), torch.zeros(0, 2))
+
+    views = [seen(3), seen(4), seen(3), frame(camera_index=5, with_truth=False)]
+    found = camera_gains(render, views)
+    for camera, gain in gains.items():
+        assert found[camera] == pytest.approx(gain, abs=1e-5)
+    assert found[5] is None
+    torch.testing.assert_close(with_gains(render, found)(views[1]).rgb, made * torch.tensor(gains[4]))
+    torch.testing.assert_close(with_gains(render, found)(views[3]).rgb, made)
+
+
+def test_no_gain_lowers_the_error_more_than_the_fitted_one():
+    view = frame()
+    drawn = rendering()
+    gain = camera_gains(lambda _: drawn, [view])[3]
+    pixels = PERSON & (drawn.alpha > 0.5)
+
+    def error(factor) -> float:
+        return float(((drawn.rgb * torch.tensor(factor) - view.truth.rgb)[pixels] ** 2).sum())
+
+    for channel in range(3):
+        for step in (-0.02, 0.02):
+            other = list(gain)
+            other[channel] += step
+            assert error(other) > error(gain)

@@ -13,8 +13,8 @@ from occfusion.settings.checks import check_in
 
 KNOWN = {
     "regions": {
-        region: dict.fromkeys(("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm"))
-        for region in ("full", "box", "visible", "hidden")
+        region: dict.fromkeys(("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm", "spill", "holes"))
+        for region in ("full", "box", "visible", "hidden", "seen_many", "seen_one", "unseen")
     },
     "train_seconds": dict.fromkeys(("init", "optim", "refine", "total")),
     "gaussians": None,

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from occfusion.compare.methods import methods
 from occfusion.compare.reading import MEASURED, CurvePoint, RunRecord, variant_rank
 
-REGIONS = ("full", "box", "visible", "hidden")
-AT_THE_END = (*MEASURED, "depth_error_mm")
+REGIONS = ("full", "box", "visible", "hidden", "seen_many", "seen_one", "unseen")
+AT_THE_END = (*MEASURED, "depth_error_mm", "spill", "holes")
 COUNTED_BY = {"lpips": "lpips_images", "depth_error_mm": "depth_images"}
 """Figures that fewer images have than the region, and what says how many."""
 TARGET_VARIANT = "A"

@@ -8,27 +8,35 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.cpu.workers import spread
 from occfusion.errors import ConfigError
 from occfusion.files.table import write_table
+from occfusion.geometry.coverage import CLASSES
 from occfusion.perceptual import PerceptualMetric
 from occfusion.quality.metrics import (
     OCCUPIED,
     PSNR_CAP,
     depth_error,
+    holes,
     mask_iou,
     padded_box,
     psnr,
+    spill,
     ssim,
     ssim_over_black,
 )
 from occfusion.types import Box, Frame, Rendering
 
-METRICS = ("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm")
-REGIONS = ("full", "box", "visible", "hidden")
+METRICS = ("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm", "spill", "holes")
+REGIONS = ("full", "box", "visible", "hidden", *CLASSES)
+
+Classes = Callable[[Frame], NDArray[np.int8] | None]
+"""Gives the class (`geometry.coverage`) of the place that each pixel of a person shows; None where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,8 @@ class ImageRow:
         lpips: the perceptual metric that was given, whatever its name.
         mask_iou: of alpha > 0.5 with the person's mask.
         depth_error_mm: mean absolute error of depth where alpha > 0.5 and the true surface is.
+        spill: share of the squared error that lies outside the true mask; of whole frames alone.
+        holes: share of the pixels well inside the true mask where alpha < 0.5; of whole frames alone.
     """
 
     frame: int
@@ -56,6 +66,8 @@ class ImageRow:
     lpips: float | None = None
     mask_iou: float | None = None
     depth_error_mm: float | None = None
+    spill: float | None = None
+    holes: float | None = None
 
 
 @torch.inference_mode()
@@ -65,6 +77,7 @@ def evaluate_frames(
     regions: Sequence[str],
     perceptual: PerceptualMetric | None,
     perceptual_every: int = 1,
+    classes: Classes | None = None,
 ) -> list[ImageRow]:
     """Returns one row for each frame and region, frames in their order.
 
@@ -77,6 +90,7 @@ def evaluate_frames(
         perceptual: fills the `lpips` column; None leaves it empty.
         perceptual_every: fill it for every k-th frame alone, beginning with the first: on a CPU this metric
             costs several times all the rest.
+        classes: which places of the body were seen in training, for the regions that go by it; None: not known.
 
     Raises:
         ConfigError: an unknown region.
@@ -90,7 +104,7 @@ def evaluate_frames(
     def rows_of(image: tuple[Rendering, Frame, int]) -> list[ImageRow]:
         rendering, frame, number = image
         return evaluate_image(
-            rendering, frame, regions, perceptual if number % perceptual_every == 0 else None
+            rendering, frame, regions, perceptual if number % perceptual_every == 0 else None, classes
         )
 
     workers = torch.get_num_threads() if first[0].rgb.device.type == "cpu" else 1
@@ -98,20 +112,35 @@ def evaluate_frames(
 
 
 def evaluate_image(
-    rendering: Rendering, frame: Frame, regions: Sequence[str], perceptual: PerceptualMetric | None
+    rendering: Rendering,
+    frame: Frame,
+    regions: Sequence[str],
+    perceptual: PerceptualMetric | None,
+    classes: Classes | None = None,
 ) -> list[ImageRow]:
     """Returns one row a region for one rendering over black; arguments as `evaluate_frames`."""
     unknown = set(regions) - set(REGIONS)
     if unknown:
         raise ConfigError(f"unknown regions {sorted(unknown)}; choose from {', '.join(REGIONS)}")
     rgb, alpha = rendering.rgb.clamp(0, 1), rendering.alpha
+    shown = classes(frame) if classes is not None and set(regions) & set(CLASSES) else None
     scores = []
     for region in regions:
-        comparison = _comparison(region, frame, rgb.device)
+        by_class = region in CLASSES
+        comparison = (
+            _of_class(region, frame, shown, rgb.device)
+            if by_class
+            else _comparison(region, frame, rgb.device)
+        )
         figures: dict[str, Any] = {}
         if comparison is not None:
-            figures = _figures(comparison, rgb, alpha > OCCUPIED, perceptual)
+            # scattered pixels: a network that looks at their surroundings says nothing of them
+            figures = _figures(comparison, rgb, alpha > OCCUPIED, None if by_class else perceptual)
             figures["depth_error_mm"] = _depth_error(comparison, frame, rendering)
+            if region == "full":
+                assert comparison.person is not None
+                figures["spill"] = spill(rgb, comparison.truth, comparison.person)
+                figures["holes"] = holes(alpha, comparison.person)
         scores.append(ImageRow(frame.index, frame.camera_index, region, **figures))
     return scores
 
@@ -156,6 +185,18 @@ def _comparison(region: str, frame: Frame, device: torch.device) -> _Comparison 
     return (
         None if box is None else _Comparison(rgb, mask, unseen if occluded is None else occluded, pixels, box)
     )
+
+
+def _of_class(
+    region: str, frame: Frame, shown: NDArray[np.int8] | None, device: torch.device
+) -> _Comparison | None:
+    """Returns what to compare where a person's pixels show places of one class; None where no pixel does."""
+    if shown is None or frame.truth is None:
+        return None
+    mask = frame.truth.mask.to(device)
+    pixels = mask & torch.from_numpy(shown == CLASSES[region]).to(device)
+    box = padded_box(pixels)
+    return None if box is None else _Comparison(frame.truth.rgb.to(device), mask, pixels, pixels, box)
 
 
 def _inside(box: Box, like: Tensor) -> Tensor:

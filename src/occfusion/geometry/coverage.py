@@ -14,15 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.geometry.camera import NEAR, project_vertices
+from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.distance import nearest_set
 from occfusion.geometry.normals import vertex_normals
-from occfusion.geometry.zbuffer import NO_FACE, ZBuffer, rasterize_mesh
+from occfusion.geometry.zbuffer import NEAR, NO_FACE, ZBuffer, rasterize_mesh
 
 Floats = NDArray[np.float64]
 
 UNSEEN, ONE, MANY = 0, 1, 2
 """Classes of places: not seen, seen from one direction, seen from many."""
+
+CLASSES = {"seen_many": MANY, "seen_one": ONE, "unseen": UNSEEN}
+"""Names of the classes in `plan.json`, `metrics.json` and tables."""
 
 GRAZING = 0.2
 """Cosine below which a look shows nothing of a place: 78 degrees from the normal."""
@@ -93,15 +96,17 @@ def cover(sightings: Iterable[Sighting], faces: NDArray[np.integer]) -> Coverage
         sightings: views of the same body.
         faces: triangles, `[F, 3]`, corners counter-clockwise from outside.
     """
-    weights, directions = [], []
+    weights: list[NDArray[np.float32]] = []
+    directions: list[NDArray[np.float32]] = []
     for sighting in sightings:
         weight, direction = looks(sighting, faces)
-        weights.append(weight.astype(np.float32))
+        weights.append(weight.astype(np.float32))  # a long video has hundreds of views
         directions.append(direction.astype(np.float32))
     if not weights:
         return None
-    weight, direction = np.stack(weights), np.stack(directions)
-    return Coverage(len(weights), weight.sum(axis=0, dtype=np.float64), _spread(weight, direction))
+    all_weights: NDArray[np.float32] = np.stack(weights)
+    spread = _spread(all_weights, np.stack(directions))
+    return Coverage(len(weights), all_weights.sum(axis=0, dtype=np.float64), spread)
 
 
 def looks(sighting: Sighting, faces: NDArray[np.integer]) -> tuple[Floats, Floats]:
@@ -153,7 +158,7 @@ def surface_frames(points: Floats, faces: NDArray[np.integer]) -> Floats:
     return np.stack([edge, np.cross(normal, edge), normal], axis=1)
 
 
-def _spread(weight: NDArray[np.float32], direction: NDArray[np.float32]) -> Floats:
+def _spread(weight: NDArray[np.floating], direction: NDArray[np.floating]) -> Floats:
     """Returns the angle about the mean direction that holds `MOST` of the looks, `[V]`, degrees."""
     mean = np.einsum("tv,tvi->vi", weight, direction)
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)

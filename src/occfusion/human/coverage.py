@@ -11,8 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from occfusion.geometry.coverage import (
-    MANY,
-    ONE,
+    CLASSES,
     UNSEEN,
     Coverage,
     Sighting,
@@ -24,9 +23,6 @@ from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
 from occfusion.types import Frame
-
-SHARES = {"seen_many": MANY, "seen_one": ONE, "unseen": UNSEEN}
-"""Names of the classes of places in `plan.json`, `metrics.json` and tables."""
 
 MOSTLY = 0.5
 """Share of a part's surface from which it counts as not seen, or as seen from one direction."""
@@ -59,7 +55,7 @@ class BodyCoverage:
         """Returns the share of the surface, or of a part, in each class; they add up to 1."""
         chosen = np.ones(len(self.parts), bool) if part is None else self.parts == part
         classes, areas = self.coverage.classes[chosen], self.areas[chosen]
-        return {name: float(areas[classes == k].sum() / areas.sum()) for name, k in SHARES.items()}
+        return {name: float(areas[classes == k].sum() / areas.sum()) for name, k in CLASSES.items()}
 
     def spread(self) -> float | None:
         """Returns the median spread of directions over the surface that is seen, degrees; None where nothing is."""
@@ -160,7 +156,7 @@ def cover_body(sightings: Iterable[Sighting], body: Body) -> BodyCoverage | None
 @torch.no_grad()
 def sighting_of(frame: Frame, body: Body) -> Sighting:
     """Returns a frame's view of the body, in the pose that the data give."""
-    pose, camera = frame.pose, frame.camera
+    pose, camera = frame.pose.to(body.v_template.device), frame.camera
     vertices, _ = body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)
     return Sighting.through(
         vertices.double().cpu().numpy(),

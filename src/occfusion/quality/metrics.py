@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import torch
 from torch import Tensor
 
 from occfusion.quality.ssim import WINDOW, ssim_map
@@ -13,6 +14,8 @@ PSNR_CAP = 100.0
 """Decibels given to pictures that agree so well that the mean over images would be ruined by infinity."""
 OCCUPIED = 0.5
 """Alpha above which a pixel counts as the person."""
+EDGE = 0.01
+"""Of the person's longer side: how far from the true outline a missing pixel is a hole and not an edge."""
 
 
 def psnr(a: Tensor, b: Tensor, mask: Tensor | None = None) -> float | None:
@@ -90,6 +93,38 @@ def depth_error(depth: Tensor, truth: Tensor, where: Tensor) -> float | None:
     if not where.any():
         return None
     return 1000.0 * float((depth[where].double() - truth[where].double()).abs().mean())
+
+
+def spill(a: Tensor, b: Tensor, mask: Tensor) -> float | None:
+    """Returns the share of the squared difference that lies outside a mask; None where pictures agree.
+
+    Args:
+        a: `[H, W, C]`, 0..1.
+        b: the same shape.
+        mask: the true person, bool `[H, W]`.
+    """
+    error = (a - b).double().square().sum(dim=2)
+    total = float(error.sum())
+    return None if total == 0 else float(error[~mask].sum()) / total
+
+
+def holes(alpha: Tensor, mask: Tensor) -> float | None:
+    """Returns the share of the pixels well inside a mask that are not occupied; None where none lies so deep.
+
+    Well inside are pixels whose neighbourhood of `EDGE` of the mask's longer side in each direction, at least one
+    pixel, lies in the mask: the very edge is a matter of half a pixel.
+
+    Args:
+        alpha: `[H, W]`, 0..1.
+        mask: the true person, bool `[H, W]`.
+    """
+    box = padded_box(mask, 0)
+    if box is None:
+        return None
+    reach = max(1, round(EDGE * max(box[2:])))
+    outside = (~mask).to(torch.float32)[None, None]
+    inside = torch.nn.functional.max_pool2d(outside, 2 * reach + 1, stride=1, padding=reach)[0, 0] == 0
+    return None if not inside.any() else float((alpha[inside] < OCCUPIED).double().mean())
 
 
 def padded_box(mask: Tensor, padding: int | None = None) -> Box | None:

@@ -19,6 +19,9 @@ REGION_NOTES = {
     "box": "held-out cameras, the person's padded box",
     "visible": "training views, the part of the person that was seen",
     "hidden": "training views, the part of the person that was occluded",
+    "seen_many": "held-out cameras, where training saw the body from many directions",
+    "seen_one": "held-out cameras, where it saw the body from one direction",
+    "unseen": "held-out cameras, where it never saw the body",
 }
 CURVE_NAME = "error_vs_time"
 
@@ -113,6 +116,11 @@ def _figures(metrics: Mapping[str, Any]) -> str:
     notes = [
         "A dash is a figure that could not be computed. Every image counts the same; see `per_image.csv`."
     ]
+    if metrics.get("camera_gain", "none") != "none":
+        notes.append(
+            "Colours of each held-out camera are multiplied by a gain a channel, fitted to its own pictures "
+            "(`camera_gains` in `metrics.json`)."
+        )
     if capped:
         notes.append(f"{capped} images reached the cap of the PSNR, 100 dB.")
     return f"## Figures\n\n{table}\n\n{' '.join(notes)}"

@@ -11,9 +11,9 @@ from rich.table import Table
 
 METRICS = ("psnr", "ssim", "lpips", "mask_iou")
 """Measured at the end and along the error curve."""
-FIGURES = (*METRICS, "depth_error_mm")
+FIGURES = (*METRICS, "depth_error_mm", "spill", "holes")
 """Measured at the end."""
-DECIMALS = {"psnr": 2, "ssim": 4, "lpips": 1, "mask_iou": 3, "depth_error_mm": 1}
+DECIMALS = {"psnr": 2, "ssim": 4, "lpips": 1, "mask_iou": 3, "depth_error_mm": 1, "spill": 3, "holes": 4}
 PERCEPTUAL_SCALE = 1000
 """Perceptual scores are printed times 1000, as in the paper."""
 
@@ -30,15 +30,18 @@ def heading(metric: str, perceptual_metric: str | None) -> str:
     """Returns a column's heading; the perceptual column bears the name of the metric that it holds."""
     if metric == "lpips":
         return f"{perceptual_metric or 'perceptual'} x{PERCEPTUAL_SCALE}"
-    return {"psnr": "PSNR", "ssim": "SSIM", "mask_iou": "mask IoU", "depth_error_mm": "depth error mm"}[
-        metric
-    ]
+    words = {"psnr": "PSNR", "ssim": "SSIM", "mask_iou": "mask IoU", "depth_error_mm": "depth error mm"}
+    return words.get(metric, metric)
 
 
 def figures_known(metrics: Mapping[str, Any]) -> list[str]:
-    """Returns the figures that tables of a run show: depth only where some region has it."""
-    known = any(values.get("depth_error_mm") is not None for values in metrics["regions"].values())
-    return list(FIGURES if known else METRICS)
+    """Returns the figures that tables of a run show: of those beyond `METRICS`, what some region has."""
+    regions = metrics["regions"].values()
+    return [
+        figure
+        for figure in FIGURES
+        if figure in METRICS or any(values.get(figure) is not None for values in regions)
+    ]
 
 
 def run_title(metrics: Mapping[str, Any]) -> str:
@@ -52,7 +55,7 @@ def print_summary(folder: Path, metrics: Mapping[str, Any]) -> None:
     """Prints one row a region, and the run folder."""
     name = metrics["perceptual_metric"]
     table = Table(title=run_title(metrics))
-    table.add_column("region")
+    table.add_column("region", no_wrap=True)
     shown = figures_known(metrics)
     for metric in shown:
         table.add_column(heading(metric, name), justify="right")

@@ -69,7 +69,7 @@ def _run_and_evaluate(run_: Run) -> tuple[Path, dict[str, Any]]:
         return run_.folder, {}
     metrics = evaluate_run(
         run_.folder, run_.data, run_.render, settings, run_.perceptual,
-        gaussians=run_.avatar.gaussians.num_gaussians,
+        gaussians=run_.avatar.gaussians.num_gaussians, body=run_.avatar.body, coverage=run_.coverage,
     )  # fmt: skip
     write_report(run_.folder)
     record_finished(run_.folder, settings, run_.data_hash)

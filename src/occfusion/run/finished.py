@@ -78,9 +78,11 @@ def source_state(settings: Settings) -> str | None:
     if not root or not scene:
         return None
     own = Path(root) / str(scene)
-    # embedded scenes lie one level deeper, in a folder for each size and length
+    # embedded scenes lie one level deeper, in a folder for each size and length; settings of the turn lengthen the name
+    turns = any(settings.dataset.get(key) is not None for key in ("turn", "facing"))
+    pattern = f"{scene}*" if turns else scene
     folders = (
-        [own] if own.is_dir() else sorted(path for path in Path(root).glob(f"*/{scene}") if path.is_dir())
+        [own] if own.is_dir() else sorted(path for path in Path(root).glob(f"*/{pattern}") if path.is_dir())
     )
     if not folders:
         return None

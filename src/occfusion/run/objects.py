@@ -11,9 +11,11 @@ import torch
 
 from occfusion.cpu.processes import is_helper, local_rank
 from occfusion.data.module import HumanDataModule
+from occfusion.data.sampling import spread
 from occfusion.data.scene_registration import SceneRegistration
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline
+from occfusion.human.coverage import BodyCoverage, cover_body, sighting_of
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.observation.frames import ObservedFrame
@@ -27,6 +29,9 @@ from occfusion.run.folder import claim_run_folder
 from occfusion.run.masks import observe_training_frames
 from occfusion.settings.schema import Settings
 from occfusion.types import Frame, Rendering
+
+COVERAGE_VIEWS = 300
+"""Training views that the body is held against, evenly spread; at 256 px a view takes about 20 ms."""
 
 
 @dataclass
@@ -42,6 +47,7 @@ class Run:
         perceptual: the perceptual metric, None where neither training nor evaluation asks for it.
         renderer: draws avatars.
         observed_frames: what masks and poses say of the training frames; None where nothing depends on it.
+        coverage: how well the training views show the body; None where no view does.
         data_hash: of all that is read.
     """
 
@@ -53,6 +59,7 @@ class Run:
     perceptual: PerceptualMetric | None
     renderer: Renderer
     observed_frames: list[ObservedFrame] | None
+    coverage: BodyCoverage | None
     data_hash: str
 
     @property
@@ -75,12 +82,14 @@ class Observed:
         registered: whether pictures lie where the cameras say; None where that is not to be measured.
         frames: what masks and poses say of the training frames; None where nothing depends on it.
         key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
+        coverage: how well they show the body, place by place; None where no view does.
     """
 
     summary: dict[str, Any]
     registered: SceneRegistration | None
     frames: list[ObservedFrame] | None
     key_light: KeyLight | None
+    coverage: BodyCoverage | None
 
 
 def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
@@ -112,9 +121,12 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         data=observed.summary["taken"],
     )
     if not is_helper():
-        write_json(folder / "plan.json", plan.json() | {"scene": observed.summary})
+        seen = None if observed.coverage is None else observed.coverage.json()
+        write_json(folder / "plan.json", plan.json() | {"coverage": seen, "scene": observed.summary})
         data.store_occlusion(folder / "occlusion")
         _tell("data", data.taken.lines())
+        if observed.coverage is not None:
+            _tell("directions", [observed.coverage.text(), *observed.coverage.warnings()])
         _tell("plan", [*plan.lines(), f"all decisions: {folder / 'plan.json'}"])
     trained = [getattr(settings, stage) for stage in plan.stages if stage != "init"]
     perceptual = None
@@ -129,6 +141,7 @@ def compose_run(settings: Settings, folder_chosen_by_user: bool) -> Run:
         perceptual=perceptual,
         renderer=renderer,
         observed_frames=observed.frames,
+        coverage=observed.coverage,
         data_hash=observed.summary["hash"],
     )
 
@@ -154,7 +167,9 @@ def observe(settings: Settings, data: HumanDataModule, body: Body) -> Observed:
         key_light = find_key_light(lambda k: data.train_frame(k, truth=False), observed_frames, faces)
     if observed_frames is not None and settings.plan == "full":
         observed_frames = with_everything(observed_frames)
-    return Observed(data.summary(), registered, observed_frames, key_light)
+    views = spread(len(data.train_indices), COVERAGE_VIEWS)
+    sightings = (sighting_of(data.train_frame(k, truth=False), body) for k in views)
+    return Observed(data.summary(), registered, observed_frames, key_light, cover_body(sightings, body))
 
 
 def _make_avatar(planned: Settings, data: HumanDataModule, body: Body, key_light: KeyLight | None) -> Avatar:

@@ -37,6 +37,7 @@ PRIOR_STAGE = "prior"
 PRIORS = ("embedded", "sd15")
 PERCEPTUAL_INPUTS = ("centred", "unit")
 """What the evaluation's perceptual metric is fed: -1..1, as it was trained, or 0..1, as GauHuman's family does."""
+CAMERA_GAINS = ("none", "camera")
 VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
 RECIPES = ("ours", "paper")
 
@@ -99,6 +100,7 @@ class EvaluationSettings:
     perceptual: bool = True
     perceptual_every: int = 6
     perceptual_inputs: str = "centred"
+    camera_gain: str = "none"
     pictures: bool = True
     curve: bool = True
     curve_images: int = 4
@@ -236,6 +238,7 @@ def _check_choices(settings: Settings) -> None:
     _check_in("refine.lpips_pixels", settings.refine.lpips_pixels, ("visible", "all"))
     _check_in("perceptual.precision", settings.perceptual.precision, PRECISIONS)
     _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
+    _check_in("evaluation.camera_gain", settings.evaluation.camera_gain, CAMERA_GAINS)
     _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
     sds = settings.optim.sds
     _check_in("optim.sds.weighting", sds.weighting, WEIGHTINGS)

@@ -16,12 +16,12 @@ from occfusion.human.body import Body
 from occfusion.human.coverage import BodyCoverage, cover_body
 
 FRAMES = 60
-"""Frames whose masks are held against the body, evenly spread: more change the shares by a percent at most."""
+"""Frames whose masks are held against the body, evenly spread; a run takes more."""
 SIDE = 512
 """Longer side of the masks that the body is held against, pixels."""
 
 
-def look_at_coverage(inspection: Inspection) -> BodyCoverage | None:
+def measure_coverage(inspection: Inspection) -> BodyCoverage | None:
     """Returns how well the training camera shows the body; None where no frame has camera, mask and parameters."""
     body = inspection.poser.body
     if inspection.camera not in inspection.sound or not isinstance(body, Body):
@@ -35,7 +35,7 @@ def look_at_coverage(inspection: Inspection) -> BodyCoverage | None:
 
 def _sighting(inspection: Inspection, frame: int) -> Sighting | None:
     try:
-        mask = survey.look_at_person(inspection.scene, frame, inspection.camera).seen.full()
+        mask = survey.read_person(inspection.scene, frame, inspection.camera).seen.full()
     except DataError:  # reported where masks are looked at
         return None
     camera = inspection.view(frame)
@@ -48,10 +48,10 @@ def _sighting(inspection: Inspection, frame: int) -> Sighting | None:
 
 
 def inspect_coverage(inspection: Inspection) -> list[Finding]:
-    """Returns from how many directions the body is seen, and which parts nobody sees; keeps it in `inspection.coverage`."""
+    """Returns from how many directions the body is seen, and which parts nobody sees; `inspection` keeps it."""
 
     def findings() -> Iterator[Finding]:
-        inspection.coverage = look_at_coverage(inspection)
+        inspection.coverage = measure_coverage(inspection)
         if inspection.coverage is None:
             return
         yield Finding("ok", "directions", inspection.coverage.text())
