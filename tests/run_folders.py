@@ -35,7 +35,8 @@ def write_run(
     nothing = dict.fromkeys(("psnr", "ssim", "lpips", "mask_iou"))
     metrics = {
         "dataset": "zju", "scene": scene, "variant": variant, "images": images,
-        "regions": {"full": full, "box": full, "visible": full, "hidden": nothing}, "perceptual_metric": metric,
+        "regions": {"full": full, "box": full, "visible": full, "hidden": nothing,
+                    "seen_many": nothing, "seen_one": nothing, "unseen": nothing}, "perceptual_metric": metric,
         "train_seconds": {"init": init_seconds, "optim": curve[-1][0], "refine": None,
                           "total": curve[-1][0] + (init_seconds or 0)},
         "gaussians": 6890, "peak_memory_mb": 500.0, "left_out": ["stage refine"],
