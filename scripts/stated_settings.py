@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import inspect
 import re
-import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from occfusion.errors import ConfigError
-from occfusion.human.densify import Densification
-from occfusion.settings import schema as schema
+from occfusion.fields import type_in_words
+from occfusion.settings.schema import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF = ROOT / "conf"
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """One row: key, type, default, what is allowed, and a sentence."""
+
+    key: str
+    kind: str
+    default: str
+    allowed: str
+    sentence: str
 
 
 @functools.cache
@@ -40,47 +48,42 @@ def flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]
             yield f"{prefix}{key}", value
 
 
-def described(docstring: str | None) -> dict[str, str]:
-    """Returns the first sentence on each name below `Attributes:` or `Args:` of a Google docstring."""
-    lines = inspect.cleandoc(docstring or "").splitlines()
-    entries: dict[str, str] = {}
-    name, inside, indent = "", False, 0
-    for line in lines:
-        if re.fullmatch(r"(Attributes|Args):", line):
-            name, inside, indent = "", True, 0
-        elif inside and line and not line.startswith(" "):
-            inside = False
-        elif inside and line.strip():
-            indent = indent or len(line) - len(line.lstrip())
-            match = re.match(r" +(\w+): +(.*)", line) if len(line) - len(line.lstrip()) == indent else None
-            name = match[1] if match else name
-            entries[name] = match[2] if match else f"{entries[name]} {line.strip()}"
-    return {key: first_sentence(text) for key, text in entries.items()}
+def rows(group: str, record: type, values: Mapping[str, Any]) -> list[Setting]:
+    """Returns the settings of a record: first its own, then those of the records in it.
+
+    Args:
+        group: dotted name of the record; empty for the settings of the run.
+        record: a dataclass.
+        values: as `conf/` composes them; what is not there has the default of the code.
+
+    Raises:
+        ConfigError: a setting has no sentence.
+    """
+    hints, own, inner = typing.get_type_hints(record), [], []
+    for field in dataclasses.fields(record):
+        key = f"{group}.{field.name}" if group else field.name
+        value = values.get(field.name, field.default)
+        if dataclasses.is_dataclass(hints[field.name]) and isinstance(value, Mapping):
+            inner += rows(key, hints[field.name], value)
+        elif field.name != "name" and value is not dataclasses.MISSING:  # a choice, or a group that is not asked for
+            if not field.metadata.get("text"):
+                raise ConfigError(f"{key}: a setting without a sentence")
+            allowed, kind = field.metadata["allowed"].in_words(), type_in_words(hints[field.name])
+            text = " ".join(field.metadata["text"].split()).replace("|", "or")
+            own.append(Setting(key, kind, value_in_words(value), allowed, text))
+    return own + inner
 
 
-def commented(file: Path) -> dict[str, str]:
-    """Returns the comment on each dotted key of a YAML file: behind it, or on the lines right above it."""
-    found: dict[str, str] = {}
-    parents: list[tuple[int, str]] = []
-    above: list[str] = []
-    for number, line in enumerate(file.read_text(encoding="utf-8").splitlines()):
-        text = line.strip()
-        if text.startswith("#"):
-            above.append(text.lstrip("# "))
-            continue
-        match = re.match(r"( *)([\w@]+):(.*)", line)
-        if match:
-            depth = len(match[1])
-            parents = [parent for parent in parents if parent[0] < depth]
-            key = ".".join([name for _, name in parents] + [match[2]])
-            parents.append((depth, match[2]))
-            behind = re.search(r"\s#\s*(.*)", match[3])
-            # the comment on top of a file is the file's
-            mine = behind[1] if behind else " ".join(above) if number > len(above) else ""
-            if mine:
-                found[key] = first_sentence(mine)
-        above = []
-    return found
+def stated_limits() -> dict[str, str]:
+    """Returns what the settings of `python train.py` may be, by key."""
+    values = composed()
+    groups = {group: value for group, value in values.items() if isinstance(value, Mapping)}
+    hints = typing.get_type_hints(Settings)
+    found = rows("", Settings, {key: value for key, value in values.items() if key not in groups})
+    for group, value in groups.items():
+        if group not in ("dataset", "prior"):
+            found += rows(group, hints[group], value)
+    return {row.key: row.allowed for row in found}
 
 
 def first_sentence(text: str) -> str:
@@ -88,65 +91,6 @@ def first_sentence(text: str) -> str:
     sentence = re.split(r"(?<=[\w)\]`])(?<!e\.g)\. (?=[A-Z`\d])", " ".join(text.split()))[0].rstrip(".")
     sentence = re.sub(r"\s*\(docs/[\w/.-]+\)|[;:,]? *docs/[\w/.-]+( has [^.;]*)?", "", sentence)
     return sentence.replace("|", "or").replace("None", "null")
-
-
-def stated_limits() -> dict[str, str]:
-    """Returns what the checks of the settings allow, by key: they are run, and asked what they compare with."""
-    limits: dict[str, str] = {}
-
-    def in_range(key: str, value: float, low: float, high: float) -> None:
-        limits[key] = (
-            f"at least {_short(low)}" if high == float("inf") else f"{_short(low)} to {_short(high)}"
-        )
-
-    def among(key: str, value: str, allowed: Sequence[str]) -> None:
-        limits[key] = ", ".join(allowed)
-
-    with (
-        patch.object(schema, "_check_range", in_range),
-        patch.object(schema, "_check_in", among),
-        initialize_config_dir(str(CONF), version_base="1.3"),
-    ):
-        schema.load_settings(compose("config", ["trainer.max_steps=1"]))
-    for stage in ("optim", "refine"):
-        for name, least in _densification_limits().items():
-            limits[f"{stage}.densification.{name}"] = f"at least {least}"
-    return limits
-
-
-def _short(value: float) -> str:
-    return str(value) if isinstance(value, int) else f"{value:g}"
-
-
-def _densification_limits() -> dict[str, int]:
-    """Returns the least value that each threshold of the densification takes, by trying."""
-    found = {}
-    for field in dataclasses.fields(Densification):
-        for least in (0, 1):
-            try:
-                Densification(**{field.name: least})
-            except ConfigError:
-                continue
-            found[field.name] = least
-            break
-    return found
-
-
-def kind_in_words(kind: Any) -> str:
-    """Returns a type as a reader of a table would call it."""
-    if isinstance(kind, str):  # of a signature
-        words = kind.replace("Sequence[int | None]", "list of int").replace(
-            "BetasSetting", "int | list | str | None"
-        )
-        words = re.sub(r"\s*\|\s*", " or ", words)
-        words = words.replace("Path or str", "path").replace("str or Path", "path").replace("None", "null")
-        return re.sub(r"Sequence\[(.*?)\]", r"list of \1", words).replace("Mapping[str, Any]", "group")
-    arguments = typing.get_args(kind)
-    if typing.get_origin(kind) in (typing.Union, types.UnionType):
-        return " or ".join("null" if one is type(None) else kind_in_words(one) for one in arguments)
-    if typing.get_origin(kind) is list:
-        return f"list of {kind_in_words(arguments[0])}"
-    return str(getattr(kind, "__name__", kind))
 
 
 def value_in_words(value: Any) -> str:

@@ -13,13 +13,14 @@ PACKAGE = Path(__file__).parents[1] / "src" / "occfusion"
 # the parts of the package from the ground up; a part is a module or a folder directly under `occfusion`
 LAYERS = [
     {"types", "errors"},
-    {"cpu", "files", "geometry", "quality"},
+    {"cpu", "fields", "files", "geometry", "quality"},
     {"perceptual", "report", "splat", "synth"},
     {"evaluation", "human"},
     # what a video shows, before any prior is asked
     {"compare", "data", "observation"},
     {"priors"},
-    {"bench", "inpaint", "settings"},
+    {"bench", "inpaint"},
+    {"settings"},
     {"stages"},
     {"plan", "prior_training"},
     {"run"},

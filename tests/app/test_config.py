@@ -70,8 +70,8 @@ def test_dataset_chooses_its_body_and_the_command_line_wins() -> None:
         ("optim.sds.reduction=max", "optim.sds.reduction"),
         ("optim.sds.schedule=cosine", "optim.sds.schedule"),
         ("optim.sds.weighting=snr", "optim.sds.weighting"),
-        ("refine.gen_pixels=visible", "refine.gen_pixels"),
-        ("refine.lpips_pixels=seen", "refine.lpips_pixels"),
+        ("refine.references.pixels=visible", "refine.references.pixels"),
+        ("refine.references.perceptual=seen", "refine.references.perceptual"),
         ("trainer.max_steps=0", "trainer.max_steps"),
         ("trainer.checkpoint_every=0", "trainer.checkpoint_every"),
         ("seed=-1", "seed"),
@@ -198,11 +198,13 @@ def test_every_dataset_lets_its_occlusion_be_set(dataset: str) -> None:
     settings = settings_of(
         f"dataset={dataset}", "dataset.occlusion.kind=polygons", "dataset.occlusion.seed=3"
     )
-    assert settings.dataset["name"] == dataset
-    occlusion = OcclusionSettings.parse(settings.dataset["occlusion"])
+    assert settings.dataset.name == dataset
+    occlusion = settings.dataset.occlusion
     assert (occlusion.kind, occlusion.seed) == ("polygons", 3)
-    defaults = OcclusionSettings.parse(settings_of(f"dataset={dataset}").dataset["occlusion"])
+    defaults = settings_of(f"dataset={dataset}").dataset.occlusion
     assert defaults == OcclusionSettings(defaults.kind)
-    assert settings_of(f"dataset={dataset}", "dataset.occlusion=none").dataset["occlusion"] == "none"
-    chosen = settings_of(f"dataset={dataset}", "occlusion@dataset.occlusion=none").dataset["occlusion"]
-    assert OcclusionSettings.parse(chosen) == OcclusionSettings("none")
+    assert settings_of(f"dataset={dataset}", "dataset.occlusion=none").dataset.occlusion == OcclusionSettings(
+        "none"
+    )
+    chosen = settings_of(f"dataset={dataset}", "occlusion@dataset.occlusion=none").dataset.occlusion
+    assert chosen == OcclusionSettings("none")

@@ -72,8 +72,8 @@ def test_the_whole_system_leaves_it_out_where_masks_are_complete(
     As long as both its stages have the terms of `B`: neither deferred perceptual ones nor masks that count less, nor
     Gaussians that are left to the refinement.
     """
-    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false")
-    refine = ("variant=E", SHORT, "refine.steps=1", "refine.source=coarse", *alike)
+    alike = ("refine.lambda_lpips=0", "refine.hidden.target=complete", "refine.densify=false")
+    refine = ("variant=E", SHORT, "refine.steps=1", "refine.references.source=coarse", *alike)
     train("variant=B", SHORT, folder="b")
     with monkeypatch.context() as patch:
         patch.setattr(run_objects, "check_score_prior", lambda *_: pytest.fail("it is not needed"))

@@ -121,7 +121,7 @@ def test_what_is_left_out_does_not_keep_results_apart() -> None:
     for own in (*lit, *sharp):
         settings = settings_of("variant=E", "plan=full", *plain, own)
         assert optim_hash(whole) != optim_hash(as_planned(settings, observed_frames))
-    alike = ("refine.lambda_lpips=0", "refine.mask_hidden=1", "refine.densify=false", *plain)
+    alike = ("refine.lambda_lpips=0", "refine.hidden.target=complete", "refine.densify=false", *plain)
     needed, masks = (as_planned(settings_of(f"variant={v}", *alike), observed_frames) for v in "EB")
     assert optim_hash(needed) == optim_hash(masks)
     assert optim_hash(needed) != optim_hash(settings_of("variant=E"))
@@ -194,25 +194,28 @@ def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
         ("D", "needed", 1.0),
     ):
         settings = settings_of(f"variant={variant}", f"plan={plan}")
-        assert as_planned(settings, occluded).optim.mask_hidden == weight
+        assert as_planned(settings, occluded).optim.hidden.weight == weight
         assert used(settings, occluded)["full mask term on hidden pixels"] == (weight == 1.0)
-    complete = "refine.mask_target=complete"
+    complete = "refine.hidden.target=complete"
     fitting = frames(*[0.5] * 8, *[0.0] * 12)  # enough whole people to see that their poses fit
     for overrides, weights in (
         ((), (0.2, 0.1)),  # in the refinement what is hidden is held to the avatar's own outline
-        (("refine.mask_outline=0.5",), (0.2, 0.5)),
-        ((complete,), (0.2, 0.2)),
-        ((complete, "refine.mask_hidden_fitting=1"), (1.0, 1.0)),
-        ((complete, "refine.mask_hidden=0.5"), (0.2, 0.2)),
-        ((complete, "variant=B"), (1.0, 0.2)),
+        (("refine.hidden.target=outline", "refine.hidden.weight=0.5"), (0.2, 0.5)),
+        ((complete, "refine.hidden.weight=0.2"), (0.2, 0.2)),
+        ((complete,), (1.0, 1.0)),
+        ((complete, "refine.hidden.weight=0.5"), (0.5, 0.5)),
+        (("refine.hidden.target=none",), (0.0, 0.0)),
+        ((complete, "refine.hidden.weight=0.2", "variant=B"), (1.0, 0.2)),
     ):
         planned = as_planned(settings_of(*overrides), fitting)
-        assert (planned.optim.mask_hidden, planned.refine.mask_hidden) == weights
+        assert (planned.optim.hidden.weight, planned.refine.hidden.weight) == weights
     mended = frames(*[0.5] * 8, *[0.02] * 12)
-    assert as_planned(settings_of(complete), mended).refine.mask_hidden == 0.0
-    assert as_planned(settings_of(complete, "plan=full"), mended).refine.mask_hidden == 1.0
-    weighed = settings_of("refine.mask_hidden=0.5", "optim.mask_hidden=0.25")
-    assert as_planned(weighed, occluded).optim.mask_hidden == 0.25
+    assert as_planned(settings_of(), mended).refine.hidden.weight == 0.0
+    assert as_planned(settings_of("plan=full"), mended).refine.hidden.weight == 1.0
+    assert as_planned(settings_of(complete, "plan=full"), mended).refine.hidden.weight == 1.0
+    halves = [f"{stage}.hidden.target=complete" for stage in ("optim", "refine")]
+    weighed = settings_of(*halves, "refine.hidden.weight=0.5", "optim.hidden.weight=0.25")
+    assert as_planned(weighed, occluded).optim.hidden.weight == 0.25
     assert not used(settings_of("variant=B"), frames(*[0.0] * 12))["full mask term on hidden pixels"]
 
 
@@ -274,7 +277,7 @@ def test_the_papers_recipe_leaves_nothing_out_and_adds_nothing() -> None:
     )
     assert (optim.gaussians, optim.pose_knots, optim.rates.scales, optim.rates.pose) == (0, 0, 5e-3, 5e-5)
     assert optim.perceptual_every == refine.perceptual_every == 1
-    assert (refine.lambda_rgb, refine.lambda_mask, refine.lambda_gen, refine.lambda_lpips) == (
+    assert (refine.lambda_rgb, refine.lambda_mask, refine.references.weight, refine.lambda_lpips) == (
         1.0,
         0.1,
         0.1,

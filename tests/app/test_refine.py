@@ -18,7 +18,7 @@ from occfusion.stages.interruption import Interrupted, SignalGuard
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 SHORT = (
     "variant=E", "optim.sds.lambda_pose=0", "optim.sds.lambda_can=0", "optim.steps=4", "refine.steps=5",
-    "refine.lambda_lpips=0", "refine.source=coarse",
+    "refine.lambda_lpips=0", "refine.references.source=coarse",
 )  # fmt: skip
 
 
@@ -54,7 +54,7 @@ def decisions(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def test_a_run_leaves_references_and_a_refined_avatar(train: Train, green: Green) -> None:
-    folder, metrics = train(*SHORT, "refine.source=prior")
+    folder, metrics = train(*SHORT, "refine.references.source=prior")
     plan = json.loads((folder / "plan.json").read_text())
     manifest = json.loads((folder / "inpainted" / "manifest.json").read_text())
     assert 0 < green.asked == len(manifest["frames"]) < plan["scene"]["frames"], (
@@ -78,7 +78,7 @@ def test_references_may_count_only_where_nothing_is_known(
 ) -> None:
     # the scene has few pixels for each Gaussian: any is enough here
     monkeypatch.setattr("occfusion.inpaint.accumulation.ENOUGH", 0.01)
-    folder, _ = train(*SHORT, "refine.source=prior", "refine.gen_pixels=unseen")
+    folder, _ = train(*SHORT, "refine.references.source=prior", "refine.references.pixels=unseen")
     records = json.loads((folder / "inpainted" / "manifest.json").read_text())["frames"]
     assert all(record["region_pixels"] <= record["painted_pixels"] for record in records.values())
     painted, counting = (
@@ -91,11 +91,11 @@ def test_references_may_count_only_where_nothing_is_known(
 
 
 def test_references_are_made_once(train: Train, green: Green) -> None:
-    folder, _ = train(*SHORT, "refine.source=prior")
+    folder, _ = train(*SHORT, "refine.references.source=prior")
     asked = green.asked
     (folder / "refine" / "stage.json").unlink()
     (folder / "finished.json").unlink()
-    train(*SHORT, "refine.source=prior")
+    train(*SHORT, "refine.references.source=prior")
     assert green.asked == asked
 
 
@@ -115,9 +115,9 @@ def test_a_stopped_inpainting_continues_behind_the_last_frame(
     with monkeypatch.context() as patch:
         patch.setattr(Green, "inpaint", stops_after_two)
         with pytest.raises(Interrupted, match="inpainted"):
-            train(*SHORT, "refine.source=prior")
+            train(*SHORT, "refine.references.source=prior")
     assert green.asked in (2, 3)  # one frame is read ahead
-    folder, _ = train(*SHORT, "refine.source=prior")
+    folder, _ = train(*SHORT, "refine.references.source=prior")
     manifest = json.loads((folder / "inpainted" / "manifest.json").read_text())
     assert green.asked == len(manifest["frames"])
 
@@ -152,7 +152,7 @@ def test_the_hand_over_does_not_stall(train: Train, green: Green) -> None:
     The optimisation's loss is 1e4 times larger: with its second moments, Adam would hardly move.
     """
     folder, _ = train(
-        *SHORT, "refine.source=prior", "optim.steps=30", "refine.steps=100", "refine.lambda_rgb=0",
+        *SHORT, "refine.references.source=prior", "optim.steps=30", "refine.steps=100", "refine.lambda_rgb=0",
         "refine.lambda_mask=0", "refine.densify=false", "optim.rates.opacity=0",
     )  # fmt: skip
     before, after = (parameters(folder, stage)["gaussians.sh0"][:, 0, 1] for stage in ("optim", "refine"))
@@ -196,7 +196,7 @@ def test_an_unoccluded_scene_is_neither_completed_nor_inpainted(
         "objects.check_inpainter", "objects.check_score_prior",
     ):  # fmt: skip
         monkeypatch.setattr(f"occfusion.run.{place}", fail)
-    folder, metrics = train(*SHORT, "refine.source=prior", "dataset.occlusion.kind=none")
+    folder, metrics = train(*SHORT, "refine.references.source=prior", "dataset.occlusion.kind=none")
     assert not (folder / "masks").exists() and not (folder / "inpainted").exists()
     assert (folder / "refine" / "avatar.safetensors").is_file()
     left_out = {
@@ -214,7 +214,9 @@ def test_an_unoccluded_scene_is_neither_completed_nor_inpainted(
 
 
 def test_plan_full_does_everything(train: Train, green: Green) -> None:
-    folder, metrics = train(*SHORT, "refine.source=prior", "dataset.occlusion.kind=none", "plan=full")
+    folder, metrics = train(
+        *SHORT, "refine.references.source=prior", "dataset.occlusion.kind=none", "plan=full"
+    )
     assert green.asked == 10
     assert (folder / "refine" / "avatar.safetensors").is_file()
     assert len(list((folder / "masks").glob("*.png"))) == 10
@@ -222,11 +224,11 @@ def test_plan_full_does_everything(train: Train, green: Green) -> None:
 
 
 def test_a_missing_reference_is_named(train: Train, green: Green) -> None:
-    folder, _ = train(*SHORT, "refine.source=prior")
+    folder, _ = train(*SHORT, "refine.references.source=prior")
     (folder / "refine" / "stage.json").unlink()
     (folder / "refine" / "last.ckpt").unlink()
     (folder / "finished.json").unlink()
     for region in (folder / "inpainted" / "regions").glob("*.png"):
         region.unlink()
     with pytest.raises(DataError, match=r"regions/0000\d\d\.png: the reference of this frame is missing"):
-        train(*SHORT, "refine.source=prior")
+        train(*SHORT, "refine.references.source=prior")

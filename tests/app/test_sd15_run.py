@@ -79,5 +79,5 @@ def test_models_of_the_inpainter_are_looked_for_before_masks_are_made(train: Tra
     with pytest.raises(DataError, match=r"prior\.controlnet=.*nowhere: there is no such folder.*hf download"):
         train(*options, missing)
     assert not (tmp_path / "run").exists()
-    folder, _ = train(*options, missing, "refine.source=coarse", "stage=init")
+    folder, _ = train(*options, missing, "refine.references.source=coarse", "stage=init")
     assert (folder / "masks").is_dir()

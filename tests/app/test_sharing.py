@@ -94,12 +94,18 @@ def test_without_links_files_are_copied(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_the_optimisation_of_d_serves_e(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
-    common = ("optim.steps=3", "refine.steps=2", "refine.source=coarse", "init.source=truth", "sds=code")
+    common = (
+        "optim.steps=3",
+        "refine.steps=2",
+        "refine.references.source=coarse",
+        "init.source=truth",
+        "sds=code",
+    )
     common = (
         *common,
         "optim.sds.lambda_pose=0",
         "optim.sds.lambda_can=0",
-        "refine.mask_hidden=1",
+        "refine.hidden.target=complete",
         "refine.densify=false",
         "optim.key_light=false",
         "optim.dilation=0.3",

@@ -142,8 +142,8 @@ def test_a_bare_name_and_a_mapping_are_the_same(kind):
     ("value", "message"),
     [
         ("stripe", "none, strip, box, moving"),
-        ({"kind": "strip", "widht": 3}, "occlusion.widht: unknown; the keys are kind, fraction"),
-        ({"kind": "strip", "fraction": 1.2}, "fraction=1.2: must be a number from 0 to 1"),
+        ({"kind": "strip", "widht": 3}, "occlusion.widht: unknown; did you mean width"),
+        ({"kind": "strip", "fraction": 1.2}, "fraction=1.2: must be 0 to 1"),
         ({"kind": "strip", "fraction": "half"}, "fraction='half'"),
         ({"kind": "strip", "mid": -1}, "mid=-1"),
         ({"kind": "strip", "width": float("nan")}, "width=nan"),

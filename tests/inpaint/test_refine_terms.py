@@ -17,7 +17,7 @@ from occfusion.human import embedded_body
 from occfusion.human.avatar import Avatar
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.partial import KNOWN
-from occfusion.settings.stages import RefineSettings
+from occfusion.settings.stages import HiddenSettings, ReferenceSettings, RefineSettings
 from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.targets import Masks, UncertainMasks
@@ -61,21 +61,33 @@ def references(tmp_path: Path) -> References:
     return References(tmp_path, frozenset({7}))
 
 
-def stage_of(references: References, outlines: Masks | None = None, **settings: Any) -> RefineStage:
-    """A stage uncertain of all of frame 7 but what is seen and `ELSEWHERE`, and whose other settings cost nothing."""
-    chosen = RefineSettings(lambda_lpips=0.0, densify=False, **settings)
-    uncertain = UncertainMasks(
-        {7: (~mask_of(SEEN) & ~mask_of(ELSEWHERE)).numpy()}, {7: mask_of(UNASKED).numpy()}
+def stage_of(
+    references: References, outlines: Masks | None = None, hidden: float = 0.0, **counted: Any
+) -> RefineStage:
+    """A stage that uncertain all of frame 7 but what is seen and `ELSEWHERE`, and whose other settings cost nothing.
+
+    Args:
+        references: inpainted frames.
+        outlines: the avatar's own.
+        hidden: weight of what is uncertain.
+        counted: how references count.
+    """
+    chosen = RefineSettings(
+        lambda_lpips=0.0,
+        densify=False,
+        hidden=HiddenSettings("outline" if outlines else "complete", hidden),
+        references=ReferenceSettings(**counted),
     )
+    uncertain = UncertainMasks({7: (~mask_of(SEEN) & ~mask_of(ELSEWHERE)).numpy()}, {7: mask_of(UNASKED).numpy()})
     return RefineStage(
         Avatar(embedded_body()), chosen, references, uncertain, outlines or {}, perceptual=None,
         densifier=None, renderer=Renderer("torch"), seed=0, steps_before=0,
     )  # fmt: skip
 
 
-def gradients(frame: Frame, references: References, lpips_pixels: str) -> dict[str, Tensor]:
+def gradients(frame: Frame, references: References, *, perceptual: bool) -> dict[str, Tensor]:
     """Returns where each term's gradient by the rendered colours is not zero."""
-    stage = stage_of(references, lpips_pixels=lpips_pixels)
+    stage = stage_of(references, perceptual=perceptual)
     rgb = torch.rand(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
     alpha = torch.full((SIZE, SIZE), 0.5)
     rendering = Rendering(rgb, alpha, torch.zeros(SIZE, SIZE), torch.zeros(0, 2))
@@ -87,7 +99,7 @@ def gradients(frame: Frame, references: References, lpips_pixels: str) -> dict[s
 
 
 def test_each_term_looks_at_its_own_pixels(frame: Frame, references: References) -> None:
-    found = gradients(frame, references, "visible")
+    found = gradients(frame, references, perceptual=False)
     seen, painted = mask_of(SEEN), mask_of(PAINTED)
     assert torch.equal(found["rgb"], seen)
     assert torch.equal(found["gen"], painted)
@@ -95,28 +107,28 @@ def test_each_term_looks_at_its_own_pixels(frame: Frame, references: References)
 
 
 def test_with_all_pixels_ssim_looks_at_the_painted_ones_too(frame: Frame, references: References) -> None:
-    looked_at = gradients(frame, references, "all")["ssim"]
+    looked_at = gradients(frame, references, perceptual=True)["ssim"]
     assert looked_at[mask_of(SEEN) | mask_of(PAINTED)].all()
     assert not looked_at[mask_of(ELSEWHERE)].any()
 
 
 def test_a_frame_without_a_reference_has_no_generated_term(frame: Frame, references: References) -> None:
     other = dataclasses.replace(frame, index=8)
-    found = gradients(other, references, "all")
+    found = gradients(other, references, perceptual=True)
     assert "gen" not in found
     assert not found["ssim"][~mask_of(SEEN)].any()
 
 
-@pytest.mark.parametrize("gen_pixels", ["unseen", "hidden"])
+@pytest.mark.parametrize("pixels", ["unseen", "hidden"])
 @pytest.mark.parametrize("hidden", [0.0, 0.25, 1.0])
 def test_mask_term_counts_what_is_neither_seen_nor_background_as_asked(
-    frame: Frame, references: References, hidden: float, gen_pixels: str
+    frame: Frame, references: References, hidden: float, pixels: str
 ) -> None:
     alpha = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(0)).requires_grad_()
     rendering = Rendering(torch.zeros(SIZE, SIZE, 3), alpha, torch.zeros(SIZE, SIZE), torch.zeros(0, 2))
     for index, weight in ((7, hidden), (8, 1.0)):  # nothing is hidden in frame 8
         other = dataclasses.replace(frame, index=index)
-        stage = stage_of(references, mask_hidden=hidden, gen_pixels=gen_pixels)
+        stage = stage_of(references, hidden=hidden, pixels=pixels)
         term = stage.terms(other, rendering, BOX)["mask"]
         (found,) = torch.autograd.grad(term, alpha)
         target = (mask_of(SEEN) | mask_of(PAINTED)).float()
@@ -124,7 +136,7 @@ def test_mask_term_counts_what_is_neither_seen_nor_background_as_asked(
         if weight < 1.0:  # no prior was asked about that, so a complete mask says nothing there
             weights[UNASKED] = 0.0
         weights[SEEN] = weights[ELSEWHERE] = 1.0
-        if gen_pixels == "unseen":  # no frame shows what was painted: there the complete mask is all there is
+        if pixels == "unseen":  # no frame shows what was painted: there the complete mask is all there is
             weights[PAINTED] = 1.0
         wanted = sum(
             float(w * (a - t) ** 2)
@@ -134,10 +146,10 @@ def test_mask_term_counts_what_is_neither_seen_nor_background_as_asked(
         torch.testing.assert_close(found, 2 * weights * (alpha - target).detach() / SIZE**2)
 
 
-@pytest.mark.parametrize("gen_pixels", ["unseen", "hidden"])
+@pytest.mark.parametrize("pixels", ["unseen", "hidden"])
 @pytest.mark.parametrize("hidden", [0.0, 0.1, 1.0])
 def test_mask_term_holds_what_is_in_doubt_to_an_outline(
-    frame: Frame, references: References, hidden: float, gen_pixels: str
+    frame: Frame, references: References, hidden: float, pixels: str
 ) -> None:
     outline = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(1)) > 0.5
     alpha = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(0))
@@ -146,13 +158,13 @@ def test_mask_term_holds_what_is_in_doubt_to_an_outline(
     wanted, weights = outline.clone(), torch.full((SIZE, SIZE), hidden)
     wanted[SEEN], wanted[ELSEWHERE] = True, False
     weights[SEEN] = weights[ELSEWHERE] = 1.0
-    if gen_pixels == "unseen":
+    if pixels == "unseen":
         wanted[PAINTED], weights[PAINTED] = True, 1.0
     # nothing is in doubt in frame 8
     for index, target, counts in ((7, wanted, weights), (8, complete, torch.ones_like(weights))):
         other = dataclasses.replace(frame, index=index)
         outlines = {7: outline.numpy(), 8: outline.numpy()}
-        stage = stage_of(references, outlines, mask_hidden=hidden, gen_pixels=gen_pixels)
+        stage = stage_of(references, outlines, hidden=hidden, pixels=pixels)
         term = stage.terms(other, rendering, BOX)["mask"]
         squares = counts * (alpha - target.float()).square()
         assert float(term) == pytest.approx(float(squares.mean()), rel=1e-5)

@@ -34,6 +34,7 @@ def composed(preset: str) -> dict[str, Any]:
 
 def test_presets_are_the_papers_values_and_the_codes() -> None:
     paper, code = composed("sd15"), composed("sd15_code")
+    paper["prompt"] = Sd15InpaintSettings(**paper).prompt
     assert paper == asdict(Sd15InpaintSettings())
     assert paper["prompt"] == "the same person standing in two different rooms"
     assert paper["negative_prompt"] is None  # the mask prior's
@@ -87,12 +88,12 @@ def test_missing_packages_are_said_before_anything_is_loaded(
         ({"steps": 0}, r"prior\.inpaint\.steps=0: must be at least 1"),
         ({"resolution": 72}, r"prior\.inpaint\.resolution=72: must be a multiple of 16"),
         ({"sampler": "euler"}, r"prior\.inpaint\.sampler='euler': must be dpmsolver"),
-        ({"control_scale": -0.1}, r"prior\.inpaint\.control_scale=-0.1: must be 0 or more"),
-        ({"guidance": float("nan")}, r"prior\.inpaint\.guidance=nan: must be 0 or more"),
-        ({"negative_prompt": 3}, r"prior\.inpaint\.negative_prompt=3: must be a text"),
+        ({"control_scale": -0.1}, r"prior\.inpaint\.control_scale=-0.1: must be at least 0"),
+        ({"guidance": float("nan")}, r"prior\.inpaint\.guidance=nan: must be at least 0"),
+        ({"negative_prompt": 3}, r"prior\.inpaint\.negative_prompt=3: expected str"),
         ({"prompt": 3}, r"prior\.inpaint\.prompt=3: expected str"),
         ({"guess_mode": "yes"}, r"prior\.inpaint\.guess_mode='yes': expected bool"),
-        ({"seed": 3}, r"prior\.inpaint\.seed: unknown; this prior has prompt"),
+        ({"seed": 3}, r"prior\.inpaint\.seed: unknown; there are prompt"),
     ],
 )
 def test_wrong_settings_are_refused(models: dict[str, str], own: dict[str, Any], message: str) -> None:

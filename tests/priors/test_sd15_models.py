@@ -43,7 +43,9 @@ def test_presets_are_the_papers_values_and_the_codes() -> None:
     score = paper.pop("score")
     assert code.pop("score") == score
     del paper["inpaint"], code["inpaint"]  # of another stage
-    assert {**asdict(Sd15ScoreSettings()), **score} == asdict(Sd15ScoreSettings())
+    assert asdict(Sd15ScoreSettings(**score)) == asdict(Sd15ScoreSettings())
+    for preset in (paper, code):
+        preset |= {key: getattr(Sd15Settings(**preset), key) for key in ("prompt", "negative_prompt")}
     assert paper == asdict(Sd15Settings())
     assert (paper["steps"], paper["control_scale"]) == (10, 1.0)
     assert paper["prompt"].startswith(

@@ -9,7 +9,7 @@ from typing import Any
 
 from occfusion.cli.multirun import JobRecord
 from occfusion.errors import ConfigError
-from occfusion.settings.checks import check_in
+from occfusion.fields import check_choice
 
 KNOWN = {
     "regions": {
@@ -31,7 +31,7 @@ def check_optimized_metric(name: str) -> None:
     Raises:
         ConfigError: with what there is.
     """
-    check_in("optimized_metric", name, tuple(_names(KNOWN)))
+    check_choice("optimized_metric", name, tuple(_names(KNOWN)))
 
 
 def read_metric(folder: Path, name: str) -> float | None:

@@ -20,6 +20,7 @@ from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, r
 from occfusion.cli.optimized import answer, check_optimized_metric, is_asked
 from occfusion.cpu.processes import is_helper
 from occfusion.errors import ConfigError, OccfusionError
+from occfusion.settings.names import refuse_old_names
 
 NOT_IN_A_MULTIRUN = (
     "trainer.devices > 1 starts more processes with the same command line, which a multirun is not for; run the "
@@ -69,7 +70,7 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
     OUTCOME.exit_code = 0
     if is_helper():  # one process tells the user enough; errors are another matter
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    if (problem := missing_launcher(given)) is not None:
+    if (problem := missing_launcher(given) or _old_name(given)) is not None:
         print(f"ConfigError: {problem}", file=sys.stderr)
         return 1
 
@@ -98,11 +99,36 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
         application()
     except (SystemExit, KeyboardInterrupt) as end:  # Hydra has said why, or the user knows
         if OUTCOME.sweep is None:
+            _hint(given)
             raise
         end_of_broken_multirun(130 if isinstance(end, KeyboardInterrupt) else 1)
     finally:
         sys.argv = whole
     return OUTCOME.exit_code or state.exit_code
+
+
+def _old_name(arguments: Sequence[str]) -> str | None:
+    """Returns what is wrong with the first argument that sets what has another name now; None where none does."""
+    try:
+        refuse_old_names(_keys(arguments))
+    except ConfigError as error:
+        return str(error)
+    return None
+
+
+def _hint(arguments: Sequence[str]) -> None:
+    """Says which setting may be meant by one that there is not, after Hydra has refused it."""
+    from occfusion.fields import nearest
+    from occfusion.settings.schema import known_settings
+
+    known = known_settings()
+    for key in _keys(arguments):
+        if "." in key and key not in known and not key.startswith("hydra."):
+            print(f"ConfigError: setting {key}: unknown; {nearest(key, known, few=True)}", file=sys.stderr)
+
+
+def _keys(arguments: Sequence[str]) -> list[str]:
+    return [argument.partition("=")[0].lstrip("+~") for argument in arguments if "=" in argument]
 
 
 def _job_of_many(config: DictConfig, overrides: list[str], number: int, state: _State) -> JobRecord:

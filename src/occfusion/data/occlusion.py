@@ -7,7 +7,6 @@ they do not depend on the size that is trained on.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -20,6 +19,7 @@ import numpy as np
 from occfusion.data.occluders import from_files, is_stored, polygons, read_occlusion
 from occfusion.data.silhouette import Hidden, Silhouette
 from occfusion.errors import ConfigError, DataError
+from occfusion.fields import check_fields, read_record, setting
 from occfusion.types import Box
 
 TABLE_WIDTH = 1024
@@ -35,6 +35,7 @@ STRIPS = {
 }
 """(mid, width) of the paper's six ZJU-MoCap subjects."""
 
+GROUP = "dataset.occlusion"
 KINDS = ("none", "strip", "box", "moving", "polygons", "files")
 _ZJU_NAME = re.compile(r"(?:CoreView_|my_)?(\d{3})\Z")
 
@@ -47,51 +48,56 @@ def zju_subject(scene: str) -> str | None:
 
 @dataclass(frozen=True)
 class OcclusionSettings:
-    """What is hidden from the training camera; held-out cameras see everything.
+    """What is hidden from the training camera; held-out cameras see everything."""
 
-    Attributes:
-        kind: `none`; `strip`: full height, fixed columns; `box`: around the person's centre in each
-            frame; `moving`: a full-height bar that sweeps over the person's range; `polygons`: a random
-            one over the person in each frame; `files`: the masks of a folder, in order.
-        fraction: share of the training frames, from the first on, that are occluded.
-        until: the frames of the sequence below this number are occluded, in place of `fraction`; None: by that.
-        share: share of the person to hide, mean over the occluded frames, where the width is not given.
-        mid: middle column of the strip, of a picture 1024 wide; from the table or the data when None.
-        width: columns of the strip or bar, of a picture 1024 wide; from the table or the data when None.
-        sweeps: how often the moving bar crosses the person's range during the occluded frames.
-        seed: of the polygons; the same for all variants of a run, whatever their own seed.
-        folder: of `files`: masks, not 0 where something is hidden, of the size of the stored pictures; or the
-            folder `occlusion` of a run, to hide what that run hid.
-    """
-
-    kind: str = "none"
-    fraction: float = 0.8
-    share: float = 0.5
-    mid: float | None = None
-    width: float | None = None
-    sweeps: float = 2.0
-    seed: int = 0
-    folder: str | None = None
-    until: int | None = dataclasses.field(default=None, repr=False)  # what it hides is in the data's hash
+    kind: str = setting(
+        "none",
+        "`none`; `strip`: full height, fixed columns; `box`: around the person's centre in each frame; `moving`: a "
+        "full-height bar that sweeps over the person's range; `polygons`: a random one over the person in each frame; "
+        "`files`: the masks of a folder, in order",
+        choices=KINDS,
+    )
+    fraction: float = setting(0.8, "share of the training frames, from the first on, that are occluded", 0, 1)
+    share: float = setting(
+        0.5, "share of the person to hide, mean over the occluded frames, where the width is not given", 0, 1
+    )
+    mid: float | None = setting(
+        None,
+        "middle column of the strip, of a picture 1024 wide; null: the protocol's, else from the masks",
+        0,
+        TABLE_WIDTH,
+    )
+    width: float | None = setting(
+        None,
+        "columns of the strip or bar, of a picture 1024 wide; null: the protocol's, else from the masks",
+        0,
+        TABLE_WIDTH,
+    )
+    sweeps: float = setting(
+        2.0, "how often the moving bar crosses the person's range during the occluded frames", 0, 1000
+    )
+    seed: int = setting(
+        0, "of the polygons; the same for all variants of a run, whatever their own seed", 0, 2**32 - 1
+    )
+    folder: str | None = setting(
+        None,
+        "of `files`: masks, not 0 where something is hidden, of the size of the stored pictures; or the folder "
+        "`occlusion` of a run, to hide what that run hid",
+    )
+    until: int | None = setting(
+        None,
+        "frames of the sequence below this number are occluded, in place of `fraction`; null: OccNeRF's protocol has "
+        "its own, else by `fraction`",
+        0,
+        repr=False,  # what it hides is in the data's hash
+    )
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ConfigError(f"dataset.occlusion.kind={self.kind!r}: choose one of {', '.join(KINDS)}.")
-        _check_range("fraction", self.fraction, 0.0, 1.0)
-        _check_range("share", self.share, 0.0, 1.0)
-        _check_range("sweeps", self.sweeps, 0.0, 1000.0)
-        _check_range("seed", self.seed, 0, 2**32 - 1)
-        if not isinstance(self.seed, int):
-            raise ConfigError(f"dataset.occlusion.seed={self.seed!r}: must be a whole number.")
-        if self.until is not None and (isinstance(self.until, bool) or not isinstance(self.until, int)):
-            raise ConfigError(f"dataset.occlusion.until={self.until!r}: must be a whole number, or null.")
+        check_fields(self, GROUP)
         if self.kind == "files" and not self.folder:
             raise ConfigError(
                 "dataset.occlusion.kind=files needs dataset.occlusion.folder, a folder of masks."
             )
-        for key in ("mid", "width"):
-            if getattr(self, key) is not None:
-                _check_range(key, getattr(self, key), 0.0, float(TABLE_WIDTH))
 
     @classmethod
     def parse(cls, value: str | Mapping[str, Any] | OcclusionSettings | None) -> OcclusionSettings:
@@ -106,11 +112,7 @@ class OcclusionSettings:
             return cls(kind=value or "none")
         if not isinstance(value, Mapping):
             raise ConfigError(f"dataset.occlusion={value!r}: give one of {', '.join(KINDS)}, or a mapping.")
-        known = [field.name for field in dataclasses.fields(cls)]
-        unknown = [str(key) for key in value if key not in known]
-        if unknown:
-            raise ConfigError(f"dataset.occlusion.{unknown[0]}: unknown; the keys are {', '.join(known)}.")
-        return cls(**{str(key): item for key, item in value.items()})
+        return read_record(cls, value, GROUP)
 
 
 def plan(
@@ -229,9 +231,3 @@ def _moving(settings: OcclusionSettings, silhouettes: Sequence[Silhouette]) -> l
         first, last = max(round(middle - width / 2), 0), min(round(middle + width / 2), picture.width)
         bars.append((first, 0, last - first, picture.height) if last > first else None)
     return bars
-
-
-def _check_range(key: str, value: object, low: float, high: float) -> None:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not number or not low <= value <= high:  # type: ignore[operator]
-        raise ConfigError(f"dataset.occlusion.{key}={value!r}: must be a number from {low:g} to {high:g}.")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from occfusion.errors import ConfigError
+from occfusion.fields import check_fields, setting
 from occfusion.geometry.neighbours import nearest, nearest_others
 from occfusion.human import editing
 from occfusion.human.avatar import Avatar
@@ -21,47 +22,47 @@ from occfusion.types import Camera
 class Densification:
     """Thresholds and schedule.
 
-    Attributes:
-        after_step: nothing happens up to and including this step.
-        every: steps between two rounds.
-        before_step: nothing happens from this step on.
-        gradient: mean length of the gradient of the loss with respect to a centre in the picture above which
-            a Gaussian is worked on. Units of 3DGS: the picture is 2 wide and 2 high, so the gradient per
-            pixel is multiplied by half the width and half the height; the loss is a mean over pixels with
-            weight 1.
-        dense: standard deviation in metres (GauHuman: 1 % of an extent of 1) up to which a Gaussian is
-            small: small ones are cloned or merged, others are split.
-        kl_apart: a Gaussian is cloned or split only if its KL divergence to its nearest neighbour is above.
-        kl_alike: a small one is merged with its nearest neighbour if the divergence is below.
-        opacity: Gaussians fainter than this are removed.
-        from_body: Gaussians farther than this from the canonical body are removed, metres.
-        max_gaussians: no round makes more than this; those with the largest gradients come first.
-        min_gaussians: a round that would leave fewer removes none.
+    Gradients have the units of 3DGS: the picture is 2 wide and 2 high, so the gradient per pixel is multiplied by half
+    the width and half the height; the loss is a mean over pixels with weight 1.
     """
 
-    after_step: int = 400
-    every: int = 200
-    before_step: int = 2201
-    gradient: float = 2e-4
-    dense: float = 0.01
-    kl_apart: float = 0.4
-    kl_alike: float = 0.1
-    opacity: float = 0.005
-    from_body: float = 0.05
-    max_gaussians: int = 60_000
-    min_gaussians: int = 100
+    after_step: int = setting(400, "nothing happens up to and including this step of the stage", 0)
+    every: int = setting(200, "steps between two rounds", 1)
+    before_step: int = setting(2201, "nothing happens from this step on", 0)
+    gradient: float = setting(
+        2e-4,
+        "mean length of the gradient of the loss with respect to a centre in the picture, which is 2 wide and 2 high, "
+        "above which a Gaussian is worked on",
+        0,
+    )
+    dense: float = setting(
+        0.01,
+        "standard deviation in metres up to which a Gaussian is small: small ones are cloned or merged, others are "
+        "split (GauHuman: 1 % of an extent of 1)",
+        0,
+    )
+    kl_apart: float = setting(
+        0.4, "a Gaussian is cloned or split only if its KL divergence to its nearest neighbour is above", 0
+    )
+    kl_alike: float = setting(
+        0.1, "a small one is merged with its nearest neighbour if the divergence is below", 0
+    )
+    opacity: float = setting(0.005, "Gaussians fainter than this are removed", 0)
+    from_body: float = setting(
+        0.05, "Gaussians farther than this from the canonical body are removed, metres", 0
+    )
+    max_gaussians: int = setting(
+        60_000, "no round makes more than this; those with the largest gradients come first", 0
+    )
+    min_gaussians: int = setting(100, "a round that would leave fewer removes none", 0)
+
+    def __post_init__(self) -> None:
+        check_fields(self, "densification")
 
     def rounds(self, steps: int) -> list[int]:
         """Returns after which of a stage's finished steps a round belongs; the stage has `steps`."""
         due = range(0, min(self.before_step, steps), self.every)
         return [step for step in due if step > self.after_step]
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if not value >= 0:
-                raise ConfigError(f"densification: {name} is {value}; it must be at least 0")
-        if self.every < 1:
-            raise ConfigError(f"densification: every is {self.every}; it must be at least 1")
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import torch
 
 from occfusion.errors import ConfigError
+from occfusion.fields import read_record
 from occfusion.inpaint.appearance_net import load_appearance_net
 from occfusion.inpaint.embedded_inpainter import EmbeddedInpainter, EmbeddedInpainterSettings
 from occfusion.inpaint.partial import Inpainter
-from occfusion.priors.build_prior import mask_settings, typed_settings
+from occfusion.priors.build_prior import mask_settings
 
 if TYPE_CHECKING:
     from occfusion.inpaint.sd15_inpainter import Sd15InpaintSettings
@@ -61,7 +62,7 @@ def check_inpainter(settings: Mapping[str, Any], device: torch.device) -> None:
 
 
 def _own_settings(kind: type[S], settings: Mapping[str, Any]) -> S:
-    return typed_settings(kind, dict(settings.get(GROUP) or {}), f"prior.{GROUP}")
+    return read_record(kind, dict(settings.get(GROUP) or {}), f"prior.{GROUP}")
 
 
 def _sd15_settings(settings: Mapping[str, Any]) -> tuple[Sd15InpaintSettings, Sd15Settings]:
@@ -69,4 +70,4 @@ def _sd15_settings(settings: Mapping[str, Any]) -> tuple[Sd15InpaintSettings, Sd
     from occfusion.priors.sd15.settings import Sd15Settings
 
     own = _own_settings(Sd15InpaintSettings, settings)
-    return own, typed_settings(Sd15Settings, mask_settings(settings))
+    return own, read_record(Sd15Settings, mask_settings(settings), "prior")

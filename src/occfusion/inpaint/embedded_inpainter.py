@@ -9,29 +9,29 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from occfusion.fields import setting, with_default
 from occfusion.inpaint.appearance_net import SIZE, from_signal, load_appearance_net, take_planes
 from occfusion.inpaint.partial import Inpainter, Partial, Picture
 from occfusion.priors.embedded.diffusion import posterior_mean, sample
+from occfusion.priors.embedded.silhouette_prior import EmbeddedSettings
 
 
 @dataclass(frozen=True)
 class EmbeddedInpainterSettings:
-    """Settings of the embedded inpainter.
+    """Settings of the embedded inpainter."""
 
-    Attributes:
-        samples: posterior samples a frame, whose mean is the picture; 0: the posterior mean, by `draws`
-            evaluations of the network.
-        draws: evaluations of the posterior mean, each with other noise.
-        steps: evaluations for each sample.
-        seed: of the noise, which all frames share: what differs between frames is then what they show.
-        weights: a `.safetensors` file of `stage=prior`; null: the package's.
-    """
-
-    samples: int = 0
-    draws: int = 1
-    steps: int = 10
-    seed: int = 0
-    weights: str | None = None
+    samples: int = setting(
+        0,
+        "posterior samples a frame, whose mean is the picture; 0: the posterior mean, by `draws` evaluations of the "
+        "network",
+        0,
+    )
+    draws: int = setting(1, "evaluations of the posterior mean, each with other noise", 1)
+    steps: int = setting(10, "evaluations for each sample", 1)
+    seed: int = with_default(EmbeddedSettings, "seed", 0)
+    weights: str | None = setting(
+        None, "a `.safetensors` file of `stage=prior prior_training=appearance`; null: the package's"
+    )
 
 
 class EmbeddedInpainter(Inpainter):

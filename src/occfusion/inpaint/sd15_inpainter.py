@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from occfusion.fields import check_fields, setting
 from occfusion.inpaint.partial import Inpainter, Partial, Picture
 from occfusion.inpaint.side_by_side import (
     HALVES,
@@ -30,53 +30,46 @@ from occfusion.priors.sd15.pipeline import (
     resolve_placement,
 )
 from occfusion.priors.sd15.region import MULTIPLE, Region, body_keypoints, body_region
-from occfusion.priors.sd15.settings import Sd15Settings, check_setting
+from occfusion.priors.sd15.settings import Sd15Settings
+
+PROMPT = "the same person standing in two different rooms"
 
 
 @dataclass(frozen=True)
 class Sd15InpaintSettings:
     """How appearance is inpainted, the paper's values; models, memory, margin and seed are the mask prior's settings.
 
-    Attributes:
-        prompt: what the two halves shall show.
-        negative_prompt: what they shall not show; null: what the mask prior's picture shall not.
-        steps: evaluations for each picture.
-        guidance: weight of the prompts (classifier-free guidance).
-        control_scale: weight of the ControlNet.
-        guess_mode: whether the skeleton is told to the prompted branch of the guidance only, its coarse levels less.
-        sampler: dpmsolver++, unipc, ddim, or model for the one that the model's folder names.
-        resolution: longer side of the two halves together, pixels, a multiple of 16; 0: each as large as the
-            region is in the picture.
-
     Raises:
         ConfigError: a value is not allowed.
     """
 
-    prompt: str = "the same person standing in two different rooms"
-    negative_prompt: str | None = None
-    steps: int = 10
-    guidance: float = 7.5
-    control_scale: float = 0.3
-    guess_mode: bool = True
-    sampler: str = "unipc"
-    resolution: int = 512
+    prompt: str | None = setting(None, f"what the two halves shall show; null: the paper's, `{PROMPT}`")
+    negative_prompt: str | None = setting(
+        None, "what they shall not show; null: what the mask prior's picture shall not, as in the paper"
+    )
+    steps: int = setting(10, "evaluations for each picture", 1)
+    guidance: float = setting(7.5, "weight of the prompts (classifier-free guidance)", 0)
+    control_scale: float = setting(0.3, "weight of the ControlNet", 0)
+    guess_mode: bool = setting(
+        True,
+        "whether the skeleton is told to the prompted branch of the guidance only, its coarse levels less",
+    )
+    sampler: str = setting(
+        "unipc",
+        "of the diffusion; model: the one that the model's folder names",
+        choices=(*SAMPLERS, "model"),
+    )
+    resolution: int = setting(
+        512,
+        "longer side of the two halves together, pixels; 0: each as large as the region is in the picture",
+        0,
+        multiple=HALVES * MULTIPLE,
+    )
 
     def __post_init__(self) -> None:
-        _check("prompt", self.prompt, isinstance(self.prompt, str), "a text")
-        is_text = self.negative_prompt is None or isinstance(self.negative_prompt, str)
-        _check("negative_prompt", self.negative_prompt, is_text, "a text; null: the mask prior's")
-        _check("steps", self.steps, self.steps >= 1, "at least 1")
-        for key in ("guidance", "control_scale"):
-            value = getattr(self, key)
-            _check(key, value, 0.0 <= value < math.inf, "0 or more")
-        _check("sampler", self.sampler, self.sampler in (*SAMPLERS, "model"), f"{', '.join(SAMPLERS)}, model")
-        multiple = HALVES * MULTIPLE
-        allowed = self.resolution >= 0 and self.resolution % multiple == 0
-        _check("resolution", self.resolution, allowed, f"a multiple of {multiple}; 0: as the picture is")
-
-
-def _check(key: str, value: object, holds: bool, allowed: str) -> None:
-    check_setting(f"inpaint.{key}", value, holds, allowed)
+        check_fields(self, "prior.inpaint")
+        if self.prompt is None:
+            object.__setattr__(self, "prompt", PROMPT)
 
 
 class Sd15Inpainter(Inpainter):

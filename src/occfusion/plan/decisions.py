@@ -12,7 +12,7 @@ from occfusion.observation.evidence import FITTING, HIDDEN_SHARE
 from occfusion.observation.frames import ObservedFrame, misfit_of, poses_fit
 from occfusion.observation.key_light import KeyLight
 from occfusion.settings.schema import STAGES, Settings, stages_to_run
-from occfusion.settings.stages import AvatarSettings
+from occfusion.settings.stages import AvatarSettings, HiddenSettings
 from occfusion.stages.avatar import BOX_PADDING
 
 HIDDEN_STAGES = ("init",)
@@ -165,62 +165,67 @@ def may_leave_out_networks(settings: Settings) -> bool:
 
 def generated_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
     """The term on what was inpainted has nothing to look at where nothing was."""
-    weight = settings.refine.lambda_gen
-    used, reason = weight > 0, f"refine.lambda_gen = {weight:g}"
+    weight = settings.refine.references.weight
+    used, reason = weight > 0, f"refine.references.weight = {weight:g}"
     if observed_frames is not None and not _occluded(observed_frames):
         used, reason = False, f"{reason}; {_hidden_reason(observed_frames)}"
     return Decision("loss term gen in refine", used, reason)
 
 
-@dataclass(frozen=True)
-class HiddenMasks:
-    """What the mask term holds pixels to where the person may be hidden.
+FITTING_WEIGHT = 0.2
+"""Of complete masks on hidden pixels where poses fit as given: these masks are nearly right there."""
 
-    Attributes:
-        optim: weight in the optimisation, 0..1.
-        refine: weight in the refinement.
-        target: of the refinement: `complete` masks, or the avatar's own `outline`.
+
+def hidden_policies(
+    settings: Settings, observed_frames: Sequence[ObservedFrame] | None
+) -> tuple[HiddenSettings, HiddenSettings]:
+    """Returns what hidden pixels are held to in the optimisation and in the refinement, target and weight decided.
+
+    What `auto` means: with `plan=full` complete masks in full, as in the paper. Else complete masks count for little
+    where other frames tell better: by `FITTING_WEIGHT` where poses fit as given, from which these masks are made, and
+    for nothing where they are mended. The refinement holds what is hidden to the avatar's own outline instead, where
+    no poses are mended, which move it. The optimisation counts masks as a refinement that follows would, and fully
+    where none does.
     """
-
-    optim: float
-    refine: float
-    target: str
-
-
-def hidden_masks(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> HiddenMasks:
-    """Returns what hidden pixels are held to, and by what weight.
-
-    An outline takes the place of complete masks only where no poses are mended, which move it. Complete masks are
-    made from the poses as given: where these fit, masks are nearly right and count for more. The optimisation begins
-    with the refinement's weight. With `plan=full` hidden pixels count fully in the refinement, as in the paper.
-    """
-    own, refine = settings.optim.mask_hidden, settings.refine
-    if settings.plan == "full":
-        return HiddenMasks(own, 1.0, "complete")
-    fits = poses_fit(observed_frames)
-    doubted = refine.mask_hidden_fitting if fits else refine.mask_hidden
-    target = refine.mask_target if fits else "complete"
-    first = min(own, doubted) if _may_leave_out(settings) else own
-    return HiddenMasks(first, refine.mask_outline if target == "outline" else doubted, target)
+    optim, refine = settings.optim.hidden, settings.refine.hidden
+    full, fits = HiddenSettings("complete", 1.0), poses_fit(observed_frames)
+    doubted = HiddenSettings("complete", FITTING_WEIGHT) if fits else HiddenSettings("none", 0.0)
+    if optim.target == "auto":
+        chosen = refine if refine.target in ("complete", "none") else doubted
+        optim = chosen if _may_leave_out(settings) else full
+    if refine.target == "auto":
+        own = HiddenSettings("outline") if fits else doubted
+        refine = full if settings.plan == "full" else own
+    return tuple(replace(each, weight=each.effective_weight) for each in (optim, refine))  # type: ignore[return-value]
 
 
 def hidden_mask_decision(
-    stage: str, settings: Settings, hidden: HiddenMasks, observed_frames: Sequence[ObservedFrame] | None
+    stage: str, settings: Settings, hidden: HiddenSettings, observed_frames: Sequence[ObservedFrame] | None
 ) -> Decision:
-    """Returns whether the mask term counts fully on hidden pixels: what is there, other frames may tell better."""
-    weight = hidden.optim if stage == "optim" else hidden.refine
+    """Returns whether the mask term counts fully on hidden pixels: what is there, other frames may tell better.
+
+    Args:
+        stage: `optim` or `refine`.
+        settings: as the user asked.
+        hidden: of the stage, as `hidden_policies` decided.
+        observed_frames: of the training frames.
+    """
+    weight, asked = hidden.effective_weight, getattr(settings, stage).hidden.target
     part = "full mask term on hidden pixels" + ("" if stage == "optim" else f" in {stage}")
-    reason = f"it counts {weight:g} there"
-    if stage == "optim" and weight < settings.optim.mask_hidden:
-        reason += ": other frames tell better"
-    if "refine" in settings.variant.stages and poses_fit(observed_frames):
-        reason += "; poses fit as given, so complete masks do"
-    is_replaced = stage == "refine" and hidden.target == "outline"
-    if is_replaced:
-        reason = f"poses fit as given: the avatar's own outline takes the place of complete masks, weight {weight:g}"
     if observed_frames is not None and not _occluded(observed_frames):
         return Decision(part, False, _hidden_reason(observed_frames))
-    return Decision(part, weight == 1.0 and not is_replaced, reason)
+    reason = f"{stage}.hidden.target = {asked}; " if asked != "auto" else ""
+    fits = poses_fit(observed_frames)
+    if hidden.target == "outline":
+        why = "poses fit as given: " if asked == "auto" else ""
+        reason += f"{why}the avatar's own outline takes the place of complete masks, weight {weight:g}"
+        return Decision(part, False, reason)
+    reason += f"it counts {weight:g} there"
+    if stage == "optim" and weight < 1.0:
+        reason += ": other frames tell better"
+    if "refine" in settings.variant.stages and fits:
+        reason += "; poses fit as given, so complete masks do"
+    return Decision(part, weight == 1.0, reason)
 
 
 def densification_decision(stage: str, settings: AvatarSettings, steps: int) -> Decision:

@@ -17,12 +17,11 @@ from occfusion.observation.key_light import KeyLight
 from occfusion.perceptual import training_dtype
 from occfusion.plan.decisions import (
     Decision,
-    HiddenMasks,
     box_reason,
     densification_decision,
     generated_decision,
     hidden_mask_decision,
-    hidden_masks,
+    hidden_policies,
     inpainting_decision,
     is_perceptual_term_deferred,
     key_light_decision,
@@ -34,7 +33,7 @@ from occfusion.plan.decisions import (
     start_decision,
 )
 from occfusion.settings.schema import Settings, stages_to_run
-from occfusion.settings.stages import AvatarSettings
+from occfusion.settings.stages import AvatarSettings, HiddenSettings
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,7 @@ def make_plan(
     )  # fmt: skip
     is_refined = "refine" in running
     inpainting = inpainting_decision(settings, observed_frames)
-    hidden = hidden_masks(settings, observed_frames)
+    hidden = hidden_policies(settings, observed_frames)
     is_deferred = is_perceptual_term_deferred(settings)
     distillation = sds_decisions(settings, observed_frames)
     networks = network_decisions(settings, observed_frames)
@@ -126,7 +125,7 @@ def make_plan(
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
     plan += _term_decisions("optim", optim, ("rgb", "mask", "ssim"))
-    plan.append(hidden_mask_decision("optim", settings, hidden, observed_frames))
+    plan.append(hidden_mask_decision("optim", settings, hidden[0], observed_frames))
     if is_deferred:
         reason = f"optim.lambda_lpips = {optim.lambda_lpips:g}; the refinement that follows has it, and ends the same"
         plan.append(Decision("loss term lpips", False, reason))
@@ -144,7 +143,7 @@ def make_plan(
     plan.append(rounds)
     if is_refined:
         plan += _term_decisions("refine", refine, ("rgb", "mask"))
-        plan.append(hidden_mask_decision("refine", settings, hidden, observed_frames))
+        plan.append(hidden_mask_decision("refine", settings, hidden[1], observed_frames))
         plan.append(generated_decision(settings, observed_frames))
         plan += _term_decisions("refine", refine, ("ssim", "lpips"))
         plan.append(refined_rounds)
@@ -156,7 +155,7 @@ def make_plan(
 
 def _effective(
     settings: Settings,
-    hidden: HiddenMasks,
+    hidden: tuple[HiddenSettings, HiddenSettings],
     is_deferred: bool,
     distillation: Sequence[Decision],
     networks: Sequence[Decision],
@@ -180,18 +179,13 @@ def _effective(
         refine_pose=refine_pose,
         pose_knots=asked.pose_knots if has_spline else 0,
         learn_skinning=learn_skinning,
-        mask_hidden=hidden.optim,
+        hidden=hidden[0],
         gaussians=asked.gaussians if start.used else 0,
         key_light=lamp.used,
         densify=rounds.used,
         lambda_lpips=0.0 if is_deferred else asked.lambda_lpips,
     )
-    refine = replace(
-        settings.refine,
-        mask_hidden=hidden.refine,
-        mask_target=hidden.target,
-        densify=refined_rounds.used,
-    )
+    refine = replace(settings.refine, hidden=hidden[1], densify=refined_rounds.used)
     return replace(settings, optim=optim, refine=refine)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from occfusion.errors import ConfigError
+from occfusion.fields import read_record
 from occfusion.priors.embedded.silhouette_prior import EmbeddedMaskPrior, EmbeddedScore, EmbeddedSettings
 from occfusion.priors.masks import MaskPrior
 from occfusion.priors.score import ScorePrior
@@ -16,8 +16,6 @@ from occfusion.priors.score import ScorePrior
 if TYPE_CHECKING:
     from occfusion.priors.sd15.score_prior import Sd15ScoreSettings
 
-
-S = TypeVar("S")
 
 OTHERS = ("score", "inpaint")
 """Keys of the settings of `prior=` that are not the mask prior's."""
@@ -32,11 +30,11 @@ def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPr
     """
     name, options = settings.get("name"), mask_settings(settings)
     if name == "embedded":
-        return EmbeddedMaskPrior(typed_settings(EmbeddedSettings, options), device)
+        return EmbeddedMaskPrior(read_record(EmbeddedSettings, options, "prior"), device)
     if name == "sd15":
         from occfusion.priors.sd15.mask_prior import Sd15MaskPrior, Sd15Settings  # diffusers is an extra
 
-        return Sd15MaskPrior(typed_settings(Sd15Settings, options), device)
+        return Sd15MaskPrior(read_record(Sd15Settings, options, "prior"), device)
     raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")
 
 
@@ -79,22 +77,4 @@ def _score_settings(settings: Mapping[str, Any]) -> Sd15ScoreSettings:
     from occfusion.priors.sd15.score_prior import Sd15ScoreSettings
 
     shared = {key: settings[key] for key in ("local_files_only", "dtype", "device") if key in settings}
-    return typed_settings(Sd15ScoreSettings, {**shared, **(settings.get("score") or {})})
-
-
-def typed_settings(kind: type[S], options: Mapping[str, Any], group: str = "prior") -> S:
-    """Returns a settings record of a mapping; numbers and texts must be of the kind of its defaults.
-
-    Raises:
-        ConfigError: an unknown key or a wrong type.
-    """
-    known = {field.name: field.default for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    for key, value in options.items():
-        if key not in known:
-            raise ConfigError(f"setting {group}.{key}: unknown; this prior has {', '.join(known)}")
-        default = known[key]
-        if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-            continue
-        if default is not None and value is not None and not isinstance(value, type(default)):
-            raise ConfigError(f"setting {group}.{key}={value!r}: expected {type(default).__name__}")
-    return kind(**options)
+    return read_record(Sd15ScoreSettings, {**shared, **(settings.get("score") or {})}, "prior")

@@ -11,7 +11,8 @@ from occfusion.errors import ConfigError
 from occfusion.prior_training.appearance_task import Coarse, CoarseScene
 from occfusion.run.objects import compose_run
 from occfusion.run.stages import run_stages
-from occfusion.settings.schema import Named, Settings
+from occfusion.settings.datasets import SyntheticSettings
+from occfusion.settings.schema import Settings, StageChoice
 
 
 def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse:
@@ -23,25 +24,32 @@ def train_coarse(settings: Settings, scene: CoarseScene, folder: Path) -> Coarse
         folder: of its run.
 
     Raises:
-        OccfusionError: as `run_stages`; or the variant completes no masks, so nothing would be inpainted after it.
+        OccfusionError: as `run_stages`; the variant completes no masks, so nothing would be inpainted after it;
+            or the data set is not the embedded one.
     """
     if "init" not in settings.variant.stages:
         raise ConfigError(
             f"stage=prior prior_training=appearance: variant {settings.variant.name} completes no masks, so nothing is "
             f"inpainted after it; leave variant unset, or choose one of B to E"
         )
-    how = {"kind": scene.occlusion, "share": scene.share, "fraction": scene.fraction}
-    occlusion = {**settings.dataset.get("occlusion", {}), **how}
+    if not isinstance(settings.dataset, SyntheticSettings):
+        raise ConfigError(
+            f"stage=prior prior_training=appearance dataset={settings.dataset.name}: its corpus is of embedded people; "
+            "leave dataset unset"
+        )
+    occlusion = replace(
+        settings.dataset.occlusion, kind=scene.occlusion, share=scene.share, fraction=scene.fraction
+    )
     own = replace(
         settings,
-        stage=Named("optim"),
-        dataset={
-            **settings.dataset,
-            "scene": scene.scene,
-            "cameras": 2,
-            "train_frames": [0, scene.frames, 1],
-            "occlusion": occlusion,
-        },
+        stage=StageChoice("optim"),
+        dataset=replace(
+            settings.dataset,
+            scene=scene.scene,
+            cameras=2,
+            train_frames=[0, scene.frames, 1],
+            occlusion=occlusion,
+        ),
         evaluation=replace(settings.evaluation, curve=False, perceptual=False),
         seed=scene.seed,
         output_dir=str(folder),

@@ -78,7 +78,7 @@ def evaluate_run(
     write_grouped_csv(folder / "per_camera.csv", rows, "camera")
     write_grouped_csv(folder / "per_frame.csv", rows, "frame")
     metrics = {
-        "dataset": settings.dataset["name"],
+        "dataset": settings.dataset.name,
         "scene": data.scene_name,
         "variant": settings.variant.name,
         "recipe": settings.recipe.name,

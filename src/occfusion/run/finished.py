@@ -74,7 +74,7 @@ def source_state(settings: Settings) -> str | None:
 
     None where the scene has no folder of its own under `dataset.root`, so that this cannot be told.
     """
-    root, scene = settings.dataset.get("root"), settings.dataset.get("scene")
+    root, scene = settings.dataset.root, settings.dataset.scene
     if not root or not scene:
         return None
     own = Path(root) / str(scene)
@@ -86,8 +86,7 @@ def source_state(settings: Settings) -> str | None:
     )
     if not folders:
         return None
-    occlusion = settings.dataset.get("occlusion")
-    others = [settings.body.path, occlusion.get("folder") if isinstance(occlusion, dict) else None]
+    others = [settings.body.path, settings.dataset.occlusion.folder]
     digest = hashlib.sha256()
     for path in [*folders, *(Path(other) for other in others if other)]:
         for line in sorted(_states(path)):

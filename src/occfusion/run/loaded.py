@@ -12,16 +12,9 @@ from omegaconf import OmegaConf
 from occfusion.errors import CheckpointError
 from occfusion.human import Avatar, load_avatar
 from occfusion.run.compose import make_body
+from occfusion.settings.names import without_old_names
 from occfusion.settings.schema import STAGES, Settings, load_settings
 from occfusion.types import Pose
-
-REMOVED = (
-    "trainer.strategy", "optim.lambda_correction", "refine.lambda_correction", "optim.sds.start_step", "optim.sh_frame"
-)  # fmt: skip
-"""Settings in earlier runs' `config.yaml` that no longer exist; a trained avatar does not depend on them.
-
-Its file names the frame that `sh_frame` chose, and is refused where that is another.
-"""
 
 
 @dataclass(frozen=True)
@@ -49,13 +42,9 @@ def load_run(folder: Path) -> FinishedRun:
     """
     if not (folder / "config.yaml").is_file():
         raise CheckpointError(f"{folder} is not a run folder: config.yaml is missing")
-    config = OmegaConf.load(folder / "config.yaml")
-    for key in REMOVED:
-        group, _, name = key.rpartition(".")
-        found = OmegaConf.select(config, group)
-        if OmegaConf.is_dict(found):
-            found.pop(name, None)
-    settings = load_settings(config)  # type: ignore[arg-type]
+    config = OmegaConf.to_container(OmegaConf.load(folder / "config.yaml"))
+    assert isinstance(config, dict)
+    settings = load_settings(without_old_names(config))
     for stage in reversed(STAGES):
         file = folder / stage / "avatar.safetensors"
         if file.is_file():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -118,7 +119,7 @@ def _taken(stage: InitStage, shared: Path, record: Path) -> bool:
 
 def _make_prior(settings: Settings, data: HumanDataModule, device: torch.device) -> MaskPrior:
     if settings.init.source == "prior":
-        return make_mask_prior(settings.prior, device)
+        return make_mask_prior(asdict(settings.prior), device)
     known = {}
     for frame in data.train_frames():
         if frame.truth is None:

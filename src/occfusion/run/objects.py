@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +159,10 @@ def observe(settings: Settings, data: HumanDataModule, body: Body) -> Observed:
     optim = settings.optim
     is_prior_asked = "init" in settings.variant.stages or optim.sds.is_used
     are_judged = (
-        is_prior_asked or may_leave_out_networks(settings) or optim.mask_hidden < 1.0 or optim.key_light
+        is_prior_asked
+        or may_leave_out_networks(settings)
+        or optim.hidden.effective_weight < 1.0
+        or optim.key_light
     )
     observed_frames = observe_training_frames(data, body) if are_judged else None
     key_light = None
@@ -203,9 +206,9 @@ def _check_priors(plan: Plan, device: torch.device) -> None:
     """
     planned = plan.settings
     if "optim" in plan.stages and planned.optim.sds.is_used:
-        check_score_prior(planned.prior)
-    if "refine" in plan.stages and planned.refine.source == "prior" and plan.inpaints:
-        check_inpainter(planned.prior, device)
+        check_score_prior(asdict(planned.prior))
+    if "refine" in plan.stages and planned.refine.references.source == "prior" and plan.inpaints:
+        check_inpainter(asdict(planned.prior), device)
 
 
 def device_of(settings: Settings) -> torch.device:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -63,8 +64,8 @@ def make_references(
         return data.train_frame(position, truth=False, complete=True)
 
     inpainter = _make_inpainter(settings, data, device)
-    place, gen_pixels = folder / FOLDER, settings.refine.gen_pixels
-    stage = InpaintStage(inpainter, avatar.eval(), observed_frames, place, identity, renderer, gen_pixels)
+    place, pixels = folder / FOLDER, settings.refine.references.pixels
+    stage = InpaintStage(inpainter, avatar.eval(), observed_frames, place, identity, renderer, pixels)
     frames = (data.train_frame(k, truth=False) for k in range(len(observed_frames)))
     stage.accumulated = accumulate(avatar, frames, renderer)
     paint_unseen(avatar, stage.accumulated)
@@ -94,16 +95,16 @@ def file_digest(path: Path) -> str:
 
 
 def _make_inpainter(settings: Settings, data: HumanDataModule, device: torch.device) -> Inpainter:
-    if settings.refine.source == "prior":
-        return make_inpainter(settings.prior, device)
-    if settings.refine.source == "coarse":
+    if settings.refine.references.source == "prior":
+        return make_inpainter(asdict(settings.prior), device)
+    if settings.refine.references.source == "coarse":
         return CoarsePictures()
     known = {}
     for frame in data.train_frames():
         if frame.truth is None:
             raise ConfigError(
-                f"refine.source=truth: this data set does not know what is hidden in {frame.name}; use "
-                "refine.source=prior"
+                f"refine.references.source=truth: this data set does not know what is hidden in {frame.name}; use "
+                "refine.references.source=prior"
             )
         known[frame.name] = frame.truth.rgb.numpy()
     return TruthPictures(known)

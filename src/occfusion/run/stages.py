@@ -183,7 +183,7 @@ def _refine_stage(run_: Run) -> tuple[AvatarStage, float]:
         k for k, observed_frame in enumerate(run_.observed_frames) if observed_frame.index in uncertain.hidden
     ]
     frames = (run_.data.train_frame(k, truth=False) for k in uncertain_frames)
-    is_held = refine.mask_target == "outline" and refine.mask_hidden > 0
+    is_held = refine.hidden.target == "outline" and refine.hidden.effective_weight > 0
     outlines = own_outlines(run_.avatar, frames, run_.renderer) if is_held else {}
     run_.avatar.gaussians.allocate_bands(planning.refined_sh_degree(settings))
     stage = RefineStage(
@@ -224,7 +224,7 @@ def _make_distiller(run_: Run) -> Distiller[Any] | None:
         return None
     assert run_.observed_frames is not None
     return Distiller(
-        make_score_prior(settings.prior, device_of(settings)),
+        make_score_prior(asdict(settings.prior), device_of(settings)),
         settings.optim.sds,
         steps=settings.optim.steps,
         observed_frames=run_.observed_frames,

@@ -1,14 +1,14 @@
 """Typed settings: the schema behind `conf/`, checked as a whole before any work starts.
 
-Hydra composes plain YAML; `load_settings` merges it into the dataclasses below, so a wrong type, an unknown
-key or a value out of range is an error that names the key and what is allowed.
+Hydra composes plain YAML; `load_settings` reads it into the dataclasses below, so a wrong type, an unknown name or a
+value out of range is an error that names the setting and says what is allowed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -16,30 +16,23 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from occfusion.errors import ConfigError
+from occfusion.fields import check_choice, read_record, setting
 from occfusion.perceptual import PRECISIONS
-from occfusion.priors.distillation import REDUCTIONS, SCHEDULES, WEIGHTINGS
-from occfusion.settings.checks import check_in as _check_in
-from occfusion.settings.checks import check_range as _check_range
+from occfusion.settings.datasets import DATASETS, DatasetSettings, SyntheticSettings
+from occfusion.settings.names import dotted, refuse_old_names
+from occfusion.settings.priors import PRIORS, EmbeddedPriorSettings, PriorSettings
 from occfusion.settings.stages import (
-    LOGGERS,
-    AvatarSettings,
+    MANY,
     InitSettings,
     LoggerSettings,
     OptimSettings,
     PriorTrainingSettings,
     RefineSettings,
-    SdsSettings,
 )
 
 STAGES = ("init", "optim", "refine")
 PRIOR_STAGE = "prior"
 """The stage that trains a prior; it has no data set and no avatar."""
-PRIORS = ("embedded", "sd15")
-PERCEPTUAL_INPUTS = ("centred", "unit")
-"""What the evaluation's perceptual metric is fed: -1..1, as it was trained, or 0..1, as GauHuman's family does."""
-CAMERA_GAINS = ("none", "camera")
-VARIANTS = ("gauhuman", "A", "B", "C", "D", "E")
-RECIPES = ("ours", "paper")
 
 
 @dataclass
@@ -50,75 +43,119 @@ class Named:
 
 
 @dataclass
+class StageChoice(Named):
+    """Which stage runs."""
+
+    name: str = setting("all", "the stage", choices=("all", *STAGES, PRIOR_STAGE))
+
+
+@dataclass
+class RecipeChoice(Named):
+    """Whose numbers."""
+
+    name: str = setting("ours", "whose numbers", choices=("ours", "paper"))
+
+
+@dataclass
+class RasterizerChoice(Named):
+    """Which backend rasterises."""
+
+    name: str = setting("auto", "the backend", choices=("auto", "torch", "numba", "gsplat"))
+
+
+@dataclass
 class BodySettings:
     """Which body: its family, and the file when it is not the embedded one."""
 
-    name: str = "anny"
-    path: str | None = None
-    cut_betas: bool = False
-    pose_blend_shapes: bool = True
+    name: str = setting("anny", "the family", choices=("anny", "smpl"))
+    path: str | None = setting(None, "a file of the SMPL family: .npz, .safetensors, or the official .pkl")
+    cut_betas: bool = setting(
+        False,
+        "leave out shape numbers in the data that the file has no components for (AMASS has 16, SMPL 1.0 has 10)",
+    )
+    pose_blend_shapes: bool = setting(
+        True,
+        "false: leave out the file's pose blend shapes, for parameters that were fitted without them (ZJU-MoCap's "
+        "params/)",
+    )
 
 
 @dataclass
 class VariantSettings:
     """A row of the paper's Table 2: the stages it needs, and the paper's own figures."""
 
-    name: str = "A"
-    stages: list[str] = field(default_factory=list)
-    paper: dict[str, float] = field(default_factory=dict)
+    name: str = setting("A", "the row", choices=("gauhuman", "A", "B", "C", "D", "E"))
+    stages: list[str] = setting([], "those that it needs, in order", choices=STAGES)
+    paper: dict[str, float] = setting({}, "the paper's own figures")
 
 
 @dataclass
 class PerceptualSettings:
     """Which perceptual metric, where its backbone lies when no package carries it, and a training term's precision."""
 
-    name: str = "stlpips"
-    vgg_path: str | None = None
-    precision: str = "float32"
+    name: str = setting("stlpips", "the metric", choices=("stlpips", "lpips"))
+    vgg_path: str | None = setting(None, "the file of the backbone, of lpips alone")
+    precision: str = setting(
+        "float32", "of the network in a training term; figures are of float32 always", choices=PRECISIONS
+    )
 
 
 @dataclass
 class TrainerSettings:
     """How the Lightning trainer runs."""
 
-    accelerator: str = "auto"
-    devices: int = 1
-    fast_dev_run: bool = False
-    max_steps: int | None = None
-    max_time: str | None = None
-    checkpoint_every: int = 200
-    enable_progress_bar: bool = True
+    accelerator: str = setting("auto", "as in Lightning: auto, cpu, gpu")
+    devices: int = setting(
+        1, "processes, each with a GPU or a CPU's cores, that train this scene together", 1, 1024
+    )
+    fast_dev_run: bool = setting(False, "true: one step and one image, to see that it works")
+    max_steps: int | None = setting(None, "of each stage; null: what the stage's own settings say", 1, MANY)
+    max_time: str | None = setting(None, 'of each stage, days:hours:minutes:seconds, e.g. "00:00:03:00"')
+    checkpoint_every: int = setting(200, "steps from one checkpoint to the next", 1, MANY)
+    enable_progress_bar: bool = setting(True, "a line with terms, speed and time left")
 
 
 @dataclass
 class EvaluationSettings:
     """What is measured after training, and how often during it."""
 
-    held_out: bool = True
-    training_views: bool = True
-    training_stride: int = 5
-    perceptual: bool = True
-    perceptual_every: int = 6
-    perceptual_inputs: str = "centred"
-    camera_gain: str = "none"
-    pictures: bool = True
-    curve: bool = True
-    curve_images: int = 4
-    curve_first_second: float = 2.0
-    again: bool = False
+    held_out: bool = setting(True, "the test cameras: regions `full`, `box`, `seen_many`, `seen_one` and `unseen`")
+    training_views: bool = setting(True, "the training camera: regions `visible` and `hidden`")
+    training_stride: int = setting(5, "every k-th training view", 1, 10_000)
+    perceptual: bool = setting(True, "whether the perceptual metric is computed at all")
+    perceptual_every: int = setting(
+        6, "the perceptual metric of every k-th held-out image: it costs more than all the rest", 1, 10_000
+    )
+    perceptual_inputs: str = setting(
+        "centred",
+        "what the metric is fed: `centred`: -1..1, as the metrics were trained; `unit`: 0..1, GauHuman's call",
+        choices=("centred", "unit"),
+    )
+    camera_gain: str = setting(
+        "none",
+        "`camera`: colours of each held-out camera times a gain a channel, least squares over the person",
+        choices=("none", "camera"),
+    )
+    pictures: bool = setting(True, "truth, rendering and error side by side")
+    curve: bool = setting(True, "error_vs_time.csv on a fixed handful of held-out images")
+    curve_images: int = setting(4, "how many that handful has", 1, 1000)
+    curve_first_second: float = setting(
+        2.0, "of training at which it begins; then at twice the time, and so on", 0.01, 1e6
+    )
+    again: bool = setting(False, "true: also when this very run was trained and evaluated before")
 
 
 @dataclass
 class Settings:
-    """All settings of a run; `dataset` stays a mapping because its reader owns its keys."""
+    """All settings of a run."""
 
-    stage: Named = field(default_factory=Named)
-    dataset: dict[str, Any] = field(default_factory=dict)
+    stage: StageChoice = field(default_factory=StageChoice)
+    dataset: DatasetSettings = field(default_factory=SyntheticSettings)
     body: BodySettings = field(default_factory=BodySettings)
     variant: VariantSettings = field(default_factory=VariantSettings)
-    recipe: Named = field(default_factory=Named)
-    prior: dict[str, Any] = field(default_factory=dict)
-    rasterizer: Named = field(default_factory=Named)
+    recipe: RecipeChoice = field(default_factory=RecipeChoice)
+    prior: PriorSettings = field(default_factory=EmbeddedPriorSettings)
+    rasterizer: RasterizerChoice = field(default_factory=RasterizerChoice)
     perceptual: PerceptualSettings = field(default_factory=PerceptualSettings)
     init: InitSettings = field(default_factory=InitSettings)
     optim: OptimSettings = field(default_factory=OptimSettings)
@@ -127,37 +164,76 @@ class Settings:
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
     logger: LoggerSettings = field(default_factory=LoggerSettings)
-    optimized_metric: str = "regions.full.psnr"
+    optimized_metric: str = setting(
+        "regions.full.psnr", "of metrics.json: what the job returns to a sweeper of Hydra's"
+    )
     speed: Named = field(default_factory=Named)
-    registration: str = "auto"
-    plan: str = "needed"
-    seed: int = 0
-    output_dir: str = ""
-    shared_dir: str | None = None
+    registration: str = setting(
+        "auto",
+        "auto: cameras are corrected where pictures are certainly shifted or scaled against them; off",
+        choices=("auto", "off"),
+    )
+    plan: str = setting(
+        "needed",
+        "needed: what the scene does not need is left out (plan.json); full: everything is done",
+        choices=("needed", "full"),
+    )
+    seed: int = setting(
+        0, "of sampling, crops and networks; what is hidden has a seed of its own", 0, 2**32 - 1
+    )
+    output_dir: str = setting("", "the run folder")
+    shared_dir: str | None = setting(
+        None, "results that variants share (masks of the initialisation); null: .shared beside output_dir"
+    )
 
 
-def load_settings(config: DictConfig) -> Settings:
+def load_settings(config: DictConfig | Mapping[str, Any]) -> Settings:
     """Returns the composed configuration as typed, checked settings.
 
     Raises:
-        ConfigError: a wrong type, an unknown key, a value out of range, or a choice that does not exist (yet).
+        ConfigError: a wrong type, an unknown name, one that a setting had once, a value out of range, or a choice that
+            does not exist.
     """
     try:
-        schema = OmegaConf.structured(Settings)
-        # a frozen dataclass would make its node read-only to the merge as well
-        for stage in (schema.optim, schema.refine):
-            OmegaConf.set_readonly(stage.densification, False)
-        # a reference to a whole group has no type of its own: it is followed before the types are checked
-        merged = OmegaConf.merge(schema, OmegaConf.to_container(config, resolve=True))
-        settings = OmegaConf.to_object(merged)
+        content = OmegaConf.to_container(OmegaConf.create(config), resolve=True)
     except OmegaConfBaseException as error:
         key = getattr(error, "full_key", None) or "?"
-        first_line = str(error).splitlines()[0]
-        raise ConfigError(f"setting {key}: {first_line}") from error
-    assert isinstance(settings, Settings)
-    _check_choices(settings)
-    _check_ranges(settings)
+        raise ConfigError(f"setting {key}: {str(error).splitlines()[0]}") from error
+    assert isinstance(content, dict)
+    given = {str(key): value for key, value in content.items()}
+    refuse_old_names(dotted(given))
+    for group, records in (("dataset", DATASETS), ("prior", PRIORS)):
+        if isinstance(own := given.get(group), dict):
+            name = str(own.get("name"))
+            check_choice(f"{group}.name", name, tuple(records))
+            given[group] = read_record(records[name], own, group)  # type: ignore[index]
+    settings = read_record(Settings, given)
+    for stage in ("optim", "refine"):
+        getattr(settings, stage).check(stage)
+    _check_stages(settings)
     return settings
+
+
+def known_settings() -> set[str]:
+    """Returns the dotted names of all settings, of every data set and prior."""
+    records = [Settings(), *(Settings(dataset=kind()) for kind in DATASETS.values())]
+    records += [Settings(prior=kind()) for kind in PRIORS.values()]
+    return {key for record in records for key in dotted(asdict(record))}
+
+
+def _check_stages(settings: Settings) -> None:
+    """Refuses stages that the variant has not, or that cannot run so."""
+    for stage in stages_to_run(settings):
+        if stage not in settings.variant.stages:
+            raise ConfigError(
+                f"stage={stage}: variant={settings.variant.name} has no such stage; it has "
+                f"{', '.join(settings.variant.stages)}"
+            )
+    if settings.trainer.devices > 1 and "refine" in stages_to_run(settings):
+        raise ConfigError(
+            f"trainer.devices={settings.trainer.devices}: the refinement stage runs in one process; train up to "
+            "variant=D in several, or leave trainer.devices at 1"
+        )
 
 
 def settings_hash(settings: Settings) -> str:
@@ -204,96 +280,3 @@ def stages_to_run(settings: Settings) -> list[str]:
     if settings.stage.name not in stages:
         return [settings.stage.name]
     return stages[: stages.index(settings.stage.name) + 1]
-
-
-def _check_choices(settings: Settings) -> None:
-    _check_in("variant.name", settings.variant.name, VARIANTS)
-    _check_in("recipe.name", settings.recipe.name, RECIPES)
-    _check_in("stage.name", settings.stage.name, ("all", *STAGES, PRIOR_STAGE))
-    for stage in stages_to_run(settings):
-        if stage not in settings.variant.stages:
-            raise ConfigError(
-                f"stage={stage}: variant={settings.variant.name} has no such stage; it has "
-                f"{', '.join(settings.variant.stages)}"
-            )
-    if settings.trainer.devices > 1 and "refine" in stages_to_run(settings):
-        raise ConfigError(
-            f"trainer.devices={settings.trainer.devices}: the refinement stage runs in one process; train up to "
-            "variant=D in several, or leave trainer.devices at 1"
-        )
-    _check_in("prior.name", str(settings.prior.get("name")), PRIORS)
-    _check_in("init.source", settings.init.source, ("prior", "truth"))
-    _check_in("logger.name", settings.logger.name, LOGGERS)
-    _check_in("plan", settings.plan, ("needed", "full"))
-    _check_in("registration", settings.registration, ("auto", "off"))
-    _check_in("refine.source", settings.refine.source, ("prior", "coarse", "truth"))
-    _check_in("refine.gen_pixels", settings.refine.gen_pixels, ("unseen", "hidden"))
-    _check_range("optim.mask_hidden", settings.optim.mask_hidden, 0.0, 1.0)
-    _check_range("optim.dilation", settings.optim.dilation, 0.01, 1.0)
-    _check_range("optim.thickness", settings.optim.thickness, 0.0, 0.05)
-    _check_range("refine.mask_hidden", settings.refine.mask_hidden, 0.0, 1.0)
-    _check_range("refine.mask_hidden_fitting", settings.refine.mask_hidden_fitting, 0.0, 1.0)
-    _check_range("refine.mask_outline", settings.refine.mask_outline, 0.0, 1.0)
-    _check_in("refine.mask_target", settings.refine.mask_target, ("outline", "complete"))
-    _check_in("refine.lpips_pixels", settings.refine.lpips_pixels, ("visible", "all"))
-    _check_in("perceptual.precision", settings.perceptual.precision, PRECISIONS)
-    _check_in("evaluation.perceptual_inputs", settings.evaluation.perceptual_inputs, PERCEPTUAL_INPUTS)
-    _check_in("evaluation.camera_gain", settings.evaluation.camera_gain, CAMERA_GAINS)
-    _check_in("optim.pixels", settings.optim.pixels, ("visible", "all"))
-    sds = settings.optim.sds
-    _check_in("optim.sds.weighting", sds.weighting, WEIGHTINGS)
-    _check_in("optim.sds.schedule", sds.schedule, SCHEDULES)
-    _check_in("optim.sds.reduction", sds.reduction, REDUCTIONS)
-    _check_in("optim.sds.where", sds.where, ("hidden", "everywhere"))
-
-
-def _check_ranges(settings: Settings) -> None:
-    optim, trainer, evaluation = settings.optim, settings.trainer, settings.evaluation
-    for name, stage, terms in (
-        ("optim", optim, ("rgb", "mask", "ssim", "lpips")),
-        ("refine", settings.refine, ("rgb", "mask", "gen", "ssim", "lpips")),
-    ):
-        _check_avatar_ranges(name, stage, terms)
-    _check_range("init.threshold", settings.init.threshold, 0.0, 1.0)
-    _check_range("init.smoothing", settings.init.smoothing, 0.0, 10.0)
-    _check_range("optim.gaussians", optim.gaussians, 0, 1_000_000)
-    _check_range("optim.pose_knots", optim.pose_knots, 0, 10_000)
-    _check_range("optim.skinning_every", optim.skinning_every, 1, 10_000)
-    _check_sds_ranges(optim.sds)
-    _check_range("seed", settings.seed, 0, 2**32 - 1)
-    _check_range("trainer.checkpoint_every", trainer.checkpoint_every, 1, 10_000_000)
-    _check_range("trainer.devices", trainer.devices, 1, 1024)
-    if trainer.max_steps is not None:
-        _check_range("trainer.max_steps", trainer.max_steps, 1, 10_000_000)
-    _check_range("logger.every", settings.logger.every, 1, 10_000_000)
-    _check_range("logger.pictures_every", settings.logger.pictures_every, 0, 10_000_000)
-    _check_range("evaluation.training_stride", evaluation.training_stride, 1, 10_000)
-    _check_range("evaluation.perceptual_every", evaluation.perceptual_every, 1, 10_000)
-    _check_range("evaluation.curve_images", evaluation.curve_images, 1, 1000)
-    _check_range("evaluation.curve_first_second", evaluation.curve_first_second, 0.01, 1e6)
-
-
-def _check_avatar_ranges(name: str, stage: AvatarSettings, terms: tuple[str, ...]) -> None:
-    weights = {f"{name}.lambda_{term}": getattr(stage, f"lambda_{term}") for term in terms}
-    for key, value in weights.items():
-        _check_range(key, value, 0.0, math.inf)
-    if not any(weights.values()):
-        raise ConfigError(f"settings {name}.lambda_*: all weights are zero, so there is nothing to train")
-    for key, value in vars(stage.rates).items():
-        _check_range(f"{name}.rates.{key}", value, 0.0, 10.0)
-    _check_range(f"{name}.rates_at_end", stage.rates_at_end, 0.0, 1.0)
-    _check_range(f"{name}.steps", stage.steps, 1, 10_000_000)
-    _check_range(f"{name}.perceptual_every", stage.perceptual_every, 1, 10_000)
-    _check_range(f"{name}.perceptual_crop", stage.perceptual_crop, 32, 2048)
-    _check_range(f"{name}.sh_degree", stage.sh_degree, 0, 3)
-    _check_range(f"{name}.sh_every", stage.sh_every, 1, 10_000_000)
-
-
-def _check_sds_ranges(sds: SdsSettings) -> None:
-    _check_range("optim.sds.lambda_pose", sds.lambda_pose, 0.0, math.inf)
-    _check_range("optim.sds.lambda_can", sds.lambda_can, 0.0, math.inf)
-    _check_range("optim.sds.posed_probability", sds.posed_probability, 0.0, 1.0)
-    _check_range("optim.sds.t_min", sds.t_min, 0.0, 1.0)
-    _check_range("optim.sds.t_max", sds.t_max, sds.t_min, 1.0)
-    _check_range("optim.sds.guidance", sds.guidance, 0.0, 1000.0)
-    _check_range("optim.sds.every", sds.every, 1, 10_000)

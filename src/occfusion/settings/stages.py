@@ -1,129 +1,104 @@
-"""Settings of the training stages; `conf/optim/` holds their values with the paper's numbers."""
+"""Settings of the training stages; `conf/` holds their values with the paper's numbers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from occfusion.errors import ConfigError
+from occfusion.fields import setting, with_default
 from occfusion.human.densify import Densification
+from occfusion.priors.distillation import REDUCTIONS, SCHEDULES, WEIGHTINGS
+
+MANY = 10_000_000
+"""Steps that no stage takes: the bound of all that counts them."""
 
 
 @dataclass
 class RateSettings:
-    """Adam's learning rates by parameter group (GauHuman).
+    """Adam's learning rates by parameter group (GauHuman)."""
 
-    Attributes:
-        means: of the centres, at the first step.
-        means_final: of the centres, at the last step.
-        sh0: of the colours.
-        sh_rest: of the higher harmonics.
-        opacity: of the opacities, as logits.
-        scales: of the sizes, as logarithms.
-        quats: of the turns.
-        pose: of the network of pose corrections.
-        pose_turns: of the corrections frame by frame, radians.
-        pose_places: of the same, metres.
-        skinning: of the network of skinning weights.
-    """
-
-    means: float = 1.6e-4
-    means_final: float = 1.6e-6
-    sh0: float = 2.5e-3
-    sh_rest: float = 1.25e-4
-    opacity: float = 5e-2
-    scales: float = 1e-2
-    quats: float = 1e-3
-    pose: float = 3e-4
-    pose_turns: float = 2e-4
-    pose_places: float = 6e-5
-    skinning: float = 5e-5
+    means: float = setting(1.6e-4, "of the centres, at the first step", 0, 10)
+    means_final: float = setting(1.6e-6, "of the centres, at the last step", 0, 10)
+    sh0: float = setting(2.5e-3, "of the colours", 0, 10)
+    sh_rest: float = setting(1.25e-4, "of the higher harmonics", 0, 10)
+    opacity: float = setting(5e-2, "of the opacities, as logits", 0, 10)
+    scales: float = setting(1e-2, "of the sizes, as logarithms", 0, 10)
+    quats: float = setting(1e-3, "of the turns", 0, 10)
+    pose: float = setting(3e-4, "of the network of pose corrections", 0, 10)
+    pose_turns: float = setting(2e-4, "of the corrections frame by frame, radians", 0, 10)
+    pose_places: float = setting(6e-5, "of the same, metres", 0, 10)
+    skinning: float = setting(5e-5, "of the network of skinning weights", 0, 10)
 
 
 @dataclass
 class InitSettings:
-    """The initialisation stage (paper §4.1).
+    """The initialisation stage (paper §4.1)."""
 
-    Attributes:
-        source: `prior`, or `truth`: the data set's own complete masks, an upper bound for synthetic scenes.
-        threshold: probability from which on a hidden pixel counts as the person.
-        smoothing: weight of the frame before and of the frame after, beside 1 for the frame itself.
-        calibrate: fit the prior's answers to the scene on what the scene shows.
-    """
-
-    source: str = "prior"
-    threshold: float = 0.5
-    smoothing: float = 0.5
-    calibrate: bool = True
+    source: str = setting(
+        "prior",
+        "`prior`, or `truth`: the data set's own complete masks, an upper bound for synthetic scenes",
+        choices=("prior", "truth"),
+    )
+    threshold: float = setting(0.5, "probability from which on a hidden pixel counts as the person", 0, 1)
+    smoothing: float = setting(
+        0.5, "weight of the frame before and of the frame after, beside 1 for the frame itself", 0, 10
+    )
+    calibrate: bool = setting(True, "fit the prior's answers to the scene on what the scene shows")
 
 
 @dataclass
 class PriorTrainingSettings:
-    """Training of an embedded prior (`stage=prior`).
+    """Training of an embedded prior (`stage=prior`)."""
 
-    Attributes:
-        network: `silhouette` or `appearance`.
-        widths: channels of the network at each level.
-        depth: its residual blocks below the first level.
-        steps: of the training.
-        batch: examples a step.
-        rate: greatest learning rate.
-        warmup: steps in which it is reached.
-        at_end: share of the examples at t = 1, where the prediction is the posterior mean.
-        averaging: of the weights.
-        examples: silhouettes of the silhouette network's corpus.
-        subjects: scenes of the appearance network's corpus.
-        validation: silhouettes that are measured on.
-        validation_first_second: when it is measured first.
-        corpus: its folder; null: in the run folder.
-    """
-
-    network: str = "silhouette"
-    widths: list[int] = field(default_factory=lambda: [48, 96, 160])
-    depth: int = 2
-    steps: int = 6000
-    batch: int = 16
-    rate: float = 8e-4
-    warmup: int = 200
-    at_end: float = 0.4
-    averaging: float = 0.998
-    examples: int = 20_000
-    subjects: int = 14
-    validation: int = 96
-    validation_first_second: float = 60.0
-    corpus: str | None = None
+    network: str = setting("silhouette", "the network", choices=("silhouette", "appearance"))
+    widths: list[int] = setting([48, 96, 160], "channels of the network at each level", 1, 4096)
+    depth: int = setting(2, "its residual blocks below the first level", 1, 100)
+    steps: int = setting(6500, "steps of the training", 1, MANY)
+    batch: int = setting(16, "examples a step", 1, 100_000)
+    rate: float = setting(8e-4, "greatest learning rate", 0, 10)
+    warmup: int = setting(200, "steps in which it is reached", 0, MANY)
+    at_end: float = setting(
+        0.4, "share of the examples at t = 1, where the prediction is the posterior mean", 0, 1
+    )
+    averaging: float = setting(0.998, "of the weights: what is kept of their mean at each step", 0, 1)
+    examples: int = setting(20_000, "silhouettes of the silhouette network's corpus", 1, MANY)
+    subjects: int = setting(14, "scenes of the appearance network's corpus", 1, 100_000)
+    validation: int = setting(96, "silhouettes that are measured on", 1, MANY)
+    validation_first_second: float = setting(60.0, "of training at which it is measured first", 0.01, 1e6)
+    corpus: str | None = setting(None, "folder of the corpus; null: in the run folder")
 
 
 @dataclass
 class SdsSettings:
-    """Score distillation on the occupancy map (paper §4.2).
+    """Score distillation on the occupancy map (paper §4.2)."""
 
-    Attributes:
-        lambda_pose: weight in the frame's pose; 0: left out.
-        lambda_can: weight in the canonical pose; 0: left out.
-        posed_probability: the paper's rho: chance that a step takes the frame's pose.
-        weighting: w(t): `sigma2`, or `uniform`.
-        schedule: of t: `random`, or `annealed` from `t_max` to `t_min` over the stage.
-        t_min: least diffusion time, 0..1.
-        t_max: greatest diffusion time.
-        reduction: `mean` or `sum` over the values of the prior's signal.
-        guidance: 1: the score with conditions, 0: the one without (sd15: with the negative prompt).
-        every: steps from one term to the next, which then has that many times the weight.
-        where: `hidden`: only pixels that are neither seen to show the person nor known background are pushed;
-            `everywhere`. In the canonical pose nothing is known.
-        evidence: whether the prior is told what is seen, if it takes that.
-    """
-
-    lambda_pose: float = 1e4
-    lambda_can: float = 1e4
-    posed_probability: float = 0.75
-    weighting: str = "sigma2"
-    schedule: str = "annealed"
-    t_min: float = 0.7
-    t_max: float = 0.98
-    reduction: str = "mean"
-    guidance: float = 1.0
-    every: int = 2
-    where: str = "hidden"
-    evidence: bool = True
+    lambda_pose: float = setting(1e4, "weight in the frame's pose; 0: left out", 0)
+    lambda_can: float = setting(1e4, "weight in the canonical pose; 0: left out", 0)
+    posed_probability: float = setting(
+        0.75, "the paper's rho: chance that a step takes the frame's pose", 0, 1
+    )
+    weighting: str = setting("sigma2", "w(t): `sigma2`, or `uniform`", choices=WEIGHTINGS)
+    schedule: str = setting(
+        "annealed", "of t: `random`, or `annealed` from `t_max` to `t_min` over the stage", choices=SCHEDULES
+    )
+    t_min: float = setting(0.7, "least diffusion time, 0..1", 0, 1)
+    t_max: float = setting(0.98, "greatest diffusion time", 0, 1)
+    reduction: str = setting(
+        "mean", "`mean` or `sum` over the values of the prior's signal", choices=REDUCTIONS
+    )
+    guidance: float = setting(
+        1.0, "1: the score with conditions, 0: the one without (sd15: with the negative prompt)", 0, 1000
+    )
+    every: int = setting(
+        2, "steps from one term to the next, which then has that many times the weight", 1, 10_000
+    )
+    where: str = setting(
+        "hidden",
+        "`hidden`: only pixels that are neither seen to show the person nor known background are pushed; `everywhere`; "
+        "in the canonical pose nothing is known",
+        choices=("hidden", "everywhere"),
+    )
+    evidence: bool = setting(True, "whether the prior is told what is seen, if it takes that")
 
     @property
     def is_used(self) -> bool:
@@ -136,132 +111,195 @@ LOGGERS = ("csv", "tensorboard", "wandb")
 
 @dataclass
 class LoggerSettings:
-    """Where training is logged besides `losses.csv`.
+    """Where training is logged besides `losses.csv`."""
 
-    Attributes:
-        name: `csv`: nowhere; `tensorboard`; `wandb`.
-        every: steps from one point of a logger's curves to the next.
-        pictures_every: steps from one picture to the next; 0: none.
-        project: of Weights & Biases.
-        offline: whether Weights & Biases only writes files.
+    name: str = setting("csv", "`csv`: nowhere; `tensorboard`; `wandb`", choices=LOGGERS)
+    every: int = setting(8, "steps from one point of a logger's curves to the next", 1, MANY)
+    pictures_every: int = setting(200, "steps from one picture to the next; 0: none", 0, MANY)
+    project: str = setting("occfusion", "of Weights & Biases")
+    offline: bool = setting(False, "whether Weights & Biases only writes files")
+
+
+FULL = 1.0
+OUTLINE_WEIGHT = 0.1
+"""Of the own outline: 1 held what visible frames go on improving."""
+
+
+@dataclass
+class HiddenSettings:
+    """What the mask term holds pixels to where the person may be hidden, and by what weight.
+
+    A complete mask there comes from a prior and a pose that may be off by more than the avatar is, which other frames
+    show whole. What no frame shows keeps its complete mask in full.
     """
 
-    name: str = "csv"
-    every: int = 8
-    pictures_every: int = 200
-    project: str = "occfusion"
-    offline: bool = False
+    target: str = setting(
+        "auto",
+        "`complete`: the complete masks, as in the paper; `outline`: the avatar's own at the hand-over; `none`; "
+        "`auto`: what the plan decides from the video",
+        choices=("auto", "complete", "outline", "none"),
+    )
+    weight: float | None = setting(
+        None,
+        "of these pixels in the mask term; null: the target's own, 1 for masks and 0.1 for the outline",
+        0,
+        1,
+    )
+
+    @property
+    def effective_weight(self) -> float:
+        """The weight of these pixels; before a plan has decided, that of complete masks in full."""
+        if self.target == "none":
+            return 0.0
+        own = OUTLINE_WEIGHT if self.target == "outline" else FULL
+        return own if self.weight is None else self.weight
+
+
+@dataclass
+class ReferenceSettings:
+    """The inpainted pictures of the refinement: where they come from, where they count, and how much."""
+
+    source: str = setting(
+        "prior",
+        "`prior`; `coarse`: the coarse rendering itself, to see what inpainting adds; `truth`: the data set's own "
+        "complete pictures, an upper bound for synthetic scenes",
+        choices=("prior", "coarse", "truth"),
+    )
+    weight: float = setting(0.1, "of the L1 towards them; 0: left out", 0)
+    pixels: str = setting(
+        "unseen",
+        "where they count: `unseen`: where the paper's R shows what no frame of the video does; `hidden`: in all of R",
+        choices=("unseen", "hidden"),
+    )
+    perceptual: bool = setting(
+        False,
+        "whether the SSIM and perceptual terms look at them there too, beside visible pixels; the paper: true",
+    )
 
 
 @dataclass
 class AvatarSettings:
-    """What the stages that train an avatar have in common: schedules and rates.
+    """What the stages that train an avatar have in common: weights, schedules and rates.
 
-    Attributes:
-        steps: of the stage.
-        perceptual_every: steps from one perceptual term to the next, which then has that many times the weight.
-        perceptual_crop: side of its random crop, pixels.
-        sh_degree: highest band of spherical harmonics.
-        sh_every: steps from one band to the next, counted over all stages.
-        densify: whether Gaussians are added, joined and removed.
-        densification: thresholds and schedule, in steps of the stage.
-        rates: Adam's.
-        rates_at_end: factor on all rates at the stage's last step, reached exponentially; 1: none.
+    The weights are those of the colours' L1 on visible pixels, the occupancy's L2 against the masks, the structural and
+    the perceptual term.
     """
 
-    steps: int = 1200
-    perceptual_every: int = 8
-    perceptual_crop: int = 128
-    sh_degree: int = 1
-    sh_every: int = 1000
-    densify: bool = False
+    steps: int = setting(1200, "steps of the stage", 1, MANY)
+    lambda_rgb: float = setting(1e4, "weight of the colours' L1 on visible pixels", 0)
+    lambda_mask: float = setting(2e4, "weight of the occupancy's L2 against the masks", 0)
+    lambda_ssim: float = setting(
+        1e3, "weight of the structural term; the paper has none in its refinement", 0
+    )
+    lambda_lpips: float = setting(1e3, "weight of the perceptual term", 0)
+    perceptual_every: int = setting(
+        8, "steps from one perceptual term to the next, which then has that many times the weight", 1, 10_000
+    )
+    perceptual_crop: int = setting(128, "side of its random crop, pixels", 32, 2048)
+    hidden: HiddenSettings = field(default_factory=HiddenSettings)
+    sh_degree: int = setting(1, "highest band of spherical harmonics", 0, 3)
+    sh_every: int = setting(1000, "steps from one band to the next, counted over all stages", 1, MANY)
+    densify: bool = setting(False, "whether Gaussians are added, joined and removed")
     densification: Densification = field(default_factory=Densification)
     rates: RateSettings = field(default_factory=RateSettings)
-    rates_at_end: float = 1.0
+    rates_at_end: float = setting(
+        1.0, "factor on all rates at the stage's last step, reached exponentially; 1: none", 0, 1
+    )
+
+    def term_weights(self) -> dict[str, float]:
+        """Returns the weight of each loss term, by its name."""
+        return {
+            "rgb": self.lambda_rgb, "mask": self.lambda_mask, "ssim": self.lambda_ssim, "lpips": self.lambda_lpips
+        }  # fmt: skip
+
+    def check(self, group: str) -> None:
+        """Refuses what does not go together.
+
+        Raises:
+            ConfigError: naming the settings.
+        """
+        if not any(self.term_weights().values()):
+            raise ConfigError(
+                f"settings {group}.lambda_*: all weights are zero, so there is nothing to train"
+            )
+        target, weight = self.hidden.target, self.hidden.weight
+        if weight is not None and target in ("auto", "none"):
+            raise ConfigError(
+                f"setting {group}.hidden.weight={weight:g}: {group}.hidden.target={target} has no weight to choose; "
+                f"choose {group}.hidden.target=complete"
+            )
 
 
 @dataclass
 class OptimSettings(AvatarSettings):
-    """The optimisation stage (paper §4.2).
+    """The optimisation stage (paper §4.2)."""
 
-    Attributes:
-        pixels: `visible`: the paper's M; `all`: the whole crop.
-        lambda_rgb: weight of the colours' L1.
-        lambda_mask: weight of the occupancy's L2 against the masks.
-        lambda_ssim: weight of the structural term.
-        lambda_lpips: weight of the perceptual term.
-        mask_hidden: weight of complete masks in the mask term where the person may be hidden, 0..1; the paper: 1.
-        gaussians: at the start, at least (`Gaussians.on_body`); 0: one on each vertex of the body.
-        dilation: of the splats in pictures, square pixels; 3DGS: 0.3. Its pictures and the refinement's have the same.
-        thickness: of the Gaussians at the start, which then lie flat on the body, m; 0: they are round.
-        observed_colors: Gaussians start with the colours that the video shows, instead of grey; the paper: grey.
-        key_light: estimate a lamp from the video, by which colours change as surfaces turn; the paper has none.
-        refine_pose: GauHuman's network of pose corrections.
-        pose_knots: training frames from one knot to the next of the corrections frame by frame; 0: none.
-        learn_skinning: GauHuman's network of skinning weights.
-        skinning_every: steps from one evaluation of it to the next.
-        sds: score distillation.
-    """
-
-    pixels: str = "visible"
-    mask_hidden: float = 1.0
-    lambda_rgb: float = 1e4
-    lambda_mask: float = 2e4
-    lambda_ssim: float = 1e3
-    lambda_lpips: float = 1e3
-    gaussians: int = 20_000
-    dilation: float = 0.02
-    thickness: float = 0.002
-    observed_colors: bool = True
-    key_light: bool = True
-    refine_pose: bool = True
-    pose_knots: int = 4
-    learn_skinning: bool = True
-    skinning_every: int = 4
+    pixels: str = setting(
+        "visible", "`visible`: the paper's M; `all`: the whole crop", choices=("visible", "all")
+    )
+    gaussians: int = setting(
+        20_000,
+        "at the start, at least (`Gaussians.on_body`); 0: one on each vertex of the body",
+        0,
+        1_000_000,
+    )
+    dilation: float = setting(
+        0.02, "of the splats in pictures of both stages, square pixels; 3DGS: 0.3", 0.01, 1.0
+    )
+    thickness: float = setting(
+        0.002, "of the Gaussians at the start, which then lie flat on the body, m; 0: they are round", 0, 0.05
+    )
+    observed_colors: bool = setting(
+        True, "Gaussians start with the colours that the video shows, instead of grey; the paper: grey"
+    )
+    key_light: bool = setting(
+        True, "estimate a lamp from the video, by which colours change as surfaces turn; the paper has none"
+    )
+    refine_pose: bool = setting(True, "GauHuman's network of pose corrections")
+    pose_knots: int = setting(
+        4, "training frames from one knot to the next of the corrections frame by frame; 0: none", 0, 10_000
+    )
+    learn_skinning: bool = setting(True, "GauHuman's network of skinning weights")
+    skinning_every: int = setting(4, "steps from one evaluation of it to the next", 1, 10_000)
     sds: SdsSettings = field(default_factory=SdsSettings)
+
+    def check(self, group: str) -> None:
+        """Refuses what does not go together.
+
+        Raises:
+            ConfigError: naming the settings.
+        """
+        super().check(group)
+        if self.hidden.target == "outline":
+            raise ConfigError(
+                f"setting {group}.hidden.target=outline: the avatar has no outline of its own before the refinement; "
+                f"choose auto, complete or none"
+            )
+        if self.sds.t_max < self.sds.t_min:
+            raise ConfigError(
+                f"setting {group}.sds.t_max={self.sds.t_max:g}: must be {group}.sds.t_min={self.sds.t_min:g} or more"
+            )
 
 
 @dataclass
 class RefineSettings(AvatarSettings):
-    """The refinement stage (paper §4.3).
+    """The refinement stage (paper §4.3)."""
 
-    Attributes:
-        source: of the references: `prior`; `coarse`: the coarse rendering itself, to see what inpainting adds;
-            `truth`: the data set's own complete pictures, an upper bound for synthetic scenes.
-        mask_hidden: weight of complete masks in the mask term where the person may be hidden, 0..1; the paper: 1.
-        mask_hidden_fitting: the same where poses fit as given, and complete masks with them.
-        mask_target: what the mask term holds these pixels to: `outline`: where poses fit as given, the avatar's own at
-            the hand-over; `complete`: the complete masks, as in the paper, with the weights above.
-        mask_outline: weight of the own outline, 0..1.
-        lambda_rgb: weight of the colours' L1 on visible pixels.
-        lambda_mask: weight of the occupancy's L2 against the masks.
-        lambda_gen: weight of the L1 towards the references.
-        lambda_lpips: weight of the perceptual term.
-        lambda_ssim: weight of the structural term; the paper has none here.
-        gen_pixels: where references count: `unseen`: where the paper's R shows what no frame of the video does;
-            `hidden`: in all of R.
-        lpips_pixels: what the SSIM and perceptual terms look at: `visible`; `all`: at those pixels of the
-            references as well.
-    """
-
-    source: str = "prior"
-    mask_hidden: float = 0.0
-    mask_hidden_fitting: float = 0.2
-    mask_target: str = "outline"
-    mask_outline: float = 0.1
-    gen_pixels: str = "unseen"
-    lpips_pixels: str = "visible"
-    steps: int = 1800
-    lambda_rgb: float = 1.0
-    lambda_mask: float = 2.0
-    lambda_gen: float = 0.1
-    lambda_lpips: float = 0.1
-    lambda_ssim: float = 0.2
-    perceptual_every: int = 16
-    densify: bool = True
+    references: ReferenceSettings = field(default_factory=ReferenceSettings)
+    steps: int = with_default(AvatarSettings, "steps", 1800)
+    lambda_rgb: float = with_default(AvatarSettings, "lambda_rgb", 1.0)
+    lambda_mask: float = with_default(AvatarSettings, "lambda_mask", 2.0)
+    lambda_ssim: float = with_default(AvatarSettings, "lambda_ssim", 0.2)
+    lambda_lpips: float = with_default(AvatarSettings, "lambda_lpips", 0.1)
+    perceptual_every: int = with_default(AvatarSettings, "perceptual_every", 16)
+    densify: bool = with_default(AvatarSettings, "densify", True)
     densification: Densification = field(
         default_factory=lambda: Densification(
             after_step=0, before_step=601, gradient=4e-4, from_body=0.15, max_gaussians=15_000
         )
     )
-    rates_at_end: float = 0.3
+    rates_at_end: float = with_default(AvatarSettings, "rates_at_end", 0.3)
+
+    def term_weights(self) -> dict[str, float]:
+        """Returns the weight of each loss term, by its name."""
+        return {**super().term_weights(), "gen": self.references.weight}

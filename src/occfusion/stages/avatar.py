@@ -28,7 +28,7 @@ ADAM_EPS = 1e-15
 
 
 class AvatarStage(Stage):
-    """An interface: a stage that trains an avatar; a stage of its own gives the loss terms and their weights.
+    """An interface: a stage that trains an avatar; a stage of its own gives the loss terms.
 
     Args:
         avatar: the avatar to train, in place.
@@ -75,9 +75,10 @@ class AvatarStage(Stage):
             box: the rendered window.
         """
 
-    @abstractmethod
     def weight(self, name: str) -> float:
-        """Returns the weight of a term."""
+        """Returns the weight of a term; every k-th step at k times the weight leaves the expected gradient as it is."""
+        weight = self._schedule.term_weights()[name]
+        return weight * self._schedule.perceptual_every if name == "lpips" else weight
 
     @property
     def num_gaussians(self) -> int:

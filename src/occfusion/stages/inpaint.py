@@ -33,7 +33,7 @@ class InpaintStage(FramewiseStage):
         folder: where pictures, regions and the manifest go.
         identity: what the pictures depend on besides the inpainter: hashes of data and avatar.
         renderer: draws the avatar.
-        gen_pixels: where the pictures count: `unseen` or `hidden`; see `RefineSettings`.
+        pixels: where the pictures count: `unseen` or `hidden`; see `ReferenceSettings`.
 
     Attributes:
         accumulated: what the video shows of the avatar; needed as soon as a frame is inpainted.
@@ -49,12 +49,10 @@ class InpaintStage(FramewiseStage):
         folder: Path,
         identity: dict[str, Any],
         renderer: Renderer,
-        gen_pixels: str,
+        pixels: str,
     ) -> None:
-        super().__init__(
-            folder, {**identity, "gen_pixels": gen_pixels, "unseen": "painted", **inpainter.describe()}
-        )
-        self._gen_pixels = gen_pixels
+        super().__init__(folder, {**identity, "pixels": pixels, "unseen": "painted", **inpainter.describe()})
+        self._pixels = pixels
         # wrapped in tuples so that neither is part of this module's state
         self._inpainter, self._avatar = (inpainter,), (avatar,)
         self.observed_frames = observed_frames
@@ -93,7 +91,7 @@ class InpaintStage(FramewiseStage):
         observation = observed_frame.observation(frame, avatar.body)
         partial = take_partial(avatar, self.accumulated, frame, observation, self._renderer)
         picture, painted = checked_picture(self._inpainter[0], partial), partial.region
-        region = partial.unseen if self._gen_pixels == "unseen" else painted
+        region = partial.unseen if self._pixels == "unseen" else painted
         (self.folder / REGIONS).mkdir(parents=True, exist_ok=True)
         write_png(region_path_of(self.folder, frame.index), np.where(region, 255, 0).astype(np.uint8))
         write_png(picture_path(self.folder, frame.index), np.round(255.0 * picture).astype(np.uint8))

@@ -30,7 +30,7 @@ class OptimStage(AvatarStage):
         perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
         densifier: densification; None exactly when `settings.densify` is false.
         distiller: score distillation; None where none of its terms has a weight.
-        uncertain: where complete masks may be wrong; asked only where `settings.mask_hidden` is not 1.
+        uncertain: where complete masks may be wrong; asked only where `settings.hidden` counts them less than fully.
         renderer: draws the avatar.
         seed: decides the perceptual crops, step by step.
     """
@@ -58,7 +58,7 @@ class OptimStage(AvatarStage):
 
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.2: photometric ones and, with a distiller, that of the prior."""
-        weights = mask_weights(frame, box, self.uncertain, self.settings.mask_hidden)
+        weights = mask_weights(frame, box, self.uncertain, self.settings.hidden.effective_weight)
         terms = self._photometric(rendering, crop_frame(frame, box), weights)
         if self.distiller is not None:
             terms |= self.distiller.terms(self.avatar, frame, rendering.alpha, box, self.global_step)
@@ -83,8 +83,7 @@ class OptimStage(AvatarStage):
         return terms
 
     def weight(self, name: str) -> float:
-        """Returns the weight of a term; every k-th step at k times the weight leaves the expected gradient as it is."""
+        """Returns the weight of a term; the distiller has those of its own."""
         if self.distiller is not None and name.startswith("sds_"):
             return self.distiller.weight(name)
-        weight: float = getattr(self.settings, f"lambda_{name}")
-        return weight * self.settings.perceptual_every if name == "lpips" else weight
+        return super().weight(name)

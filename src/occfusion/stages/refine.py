@@ -62,23 +62,23 @@ class RefineStage(AvatarStage):
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.3: L1 on M, L2 of the occupancy, L1 on R, and the perceptual one.
 
-        `mask_hidden` decides how much L2 counts where the person may be hidden, but is seen by some other frame.
+        `settings.hidden` decides how much L2 counts where the person may be hidden, but is seen by some other frame.
         """
         settings, target = self.settings, crop_frame(frame, box)
         reference = self.references.get(frame, box)
         wanted, looked_at = target.rgb, target.visible_mask
-        if reference is not None and settings.lpips_pixels == "all":
+        if reference is not None and settings.references.perceptual:
             wanted, looked_at = reference.rgb, target.visible_mask | reference.region
         rgb = rendering.rgb
         terms: dict[str, Tensor] = {}
         if settings.lambda_rgb:
             terms["rgb"] = losses.l1(rgb, target.rgb, target.visible_mask)
         if settings.lambda_mask:
-            unseen = None if reference is None or settings.gen_pixels != "unseen" else reference.region
-            weights = mask_weights(frame, box, self.uncertain, settings.mask_hidden, unseen)
+            unseen = None if reference is None or settings.references.pixels != "unseen" else reference.region
+            weights = mask_weights(frame, box, self.uncertain, settings.hidden.effective_weight, unseen)
             mask = with_outline(target.mask, frame, box, self.uncertain, self.outlines, unseen)
             terms["mask"] = losses.l2(rendering.alpha, mask.to(rgb.dtype), weights=weights)
-        if settings.lambda_gen and reference is not None:
+        if settings.references.weight and reference is not None:
             terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)
         shown, wanted = (
             picture * looked_at[..., None] for picture in (rgb, wanted)
@@ -89,8 +89,3 @@ class RefineStage(AvatarStage):
             window = self.perceptual_box(looked_at)
             terms["lpips"] = perceptual(crop(shown, window), crop(wanted, window))
         return terms
-
-    def weight(self, name: str) -> float:
-        """Returns the weight of a term; every k-th step at k times the weight leaves the expected gradient as it is."""
-        weight: float = getattr(self.settings, f"lambda_{name}")
-        return weight * self.settings.perceptual_every if name == "lpips" else weight

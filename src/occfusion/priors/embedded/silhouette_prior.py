@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from occfusion.fields import setting
 from occfusion.observation.crop import PersonView, Square, view_observation
 from occfusion.observation.frames import Observation
 from occfusion.priors.distillation import guided
@@ -22,22 +23,20 @@ from occfusion.priors.score import ScorePrior
 
 @dataclass(frozen=True)
 class EmbeddedSettings:
-    """Settings of `prior=embedded`.
+    """Settings of `prior=embedded`."""
 
-    Attributes:
-        samples: posterior samples a frame, whose mean is the probability; 0: the posterior mean, by `draws`
-            evaluations of the network, fused with the body mesh.
-        draws: evaluations of the posterior mean, each with other noise.
-        steps: evaluations for each sample.
-        seed: of the noise, which all frames share: what differs between frames is then what they show.
-        weights: a `.safetensors` file of `stage=prior`; null: the package's.
-    """
-
-    samples: int = 0
-    draws: int = 2
-    steps: int = 20
-    seed: int = 0
-    weights: str | None = None
+    samples: int = setting(
+        0,
+        "posterior samples a frame, whose mean is the probability; 0: the posterior mean, by `draws` evaluations of "
+        "the network, fused with the body mesh",
+        0,
+    )
+    draws: int = setting(2, "evaluations of the posterior mean, each with other noise", 1)
+    steps: int = setting(20, "evaluations for each sample", 1)
+    seed: int = setting(
+        0, "of the noise, which all frames share: what differs between frames is then what they show", 0
+    )
+    weights: str | None = setting(None, "a `.safetensors` file of `stage=prior`; null: the package's")
 
 
 class EmbeddedMaskPrior(MaskPrior):

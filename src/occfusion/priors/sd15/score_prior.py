@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import torch
@@ -14,43 +14,12 @@ from occfusion.priors.score import ScorePrior
 from occfusion.priors.sd15.canvas import draw_keypoints
 from occfusion.priors.sd15.loading import load_denoiser, require_packages
 from occfusion.priors.sd15.model_folder import SCORE_CONTROLNET, SCORE_MODEL, find_model, fingerprint
-from occfusion.priors.sd15.settings import DTYPES, resolve_device
+from occfusion.priors.sd15.settings import DTYPES, Sd15ScoreSettings, resolve_device
 
 PICTURE = 256
 """Pixels a side of the picture that is encoded, as in the authors' code: a latent of 32 x 32."""
 COARSENESS = 8
 LATENT_CHANNELS = 4
-
-
-@dataclass(frozen=True)
-class Sd15ScoreSettings:
-    """Settings of `prior=sd15` under `score`, and those it shares with the mask prior.
-
-    Attributes:
-        model: id or folder of Stable Diffusion 1.5, the one that is not for inpainting.
-        controlnet: id or folder of its ControlNet for OpenPose canvases.
-        model_revision: branch, tag or commit; null: the newest. Of an id only.
-        controlnet_revision: the same for the ControlNet.
-        prompt: the condition that guidance moves towards.
-        negative_prompt: what it starts from; with guidance 0, as the paper has it, the only one used.
-        control_scale: weight of the ControlNet.
-        local_files_only: whether nothing is downloaded.
-        dtype: of the UNet and the ControlNet: float32, float16, bfloat16, or auto. The VAE is always float32.
-        device: a PyTorch device; null: the run's.
-    """
-
-    model: str = "stable-diffusion-v1-5/stable-diffusion-v1-5"
-    controlnet: str = "lllyasviel/control_v11p_sd15_openpose"
-    model_revision: str | None = None
-    controlnet_revision: str | None = None
-    prompt: str = "the white silhouette of one whole person on black, all limbs, sharp outline"
-    negative_prompt: str = (
-        "missing limbs, incomplete body, cropped, blurry, low quality, deformed, bad proportions"
-    )
-    control_scale: float = 1.0
-    local_files_only: bool = True
-    dtype: str = "auto"
-    device: str | None = None
 
 
 class Sd15Score(ScorePrior[Tensor]):

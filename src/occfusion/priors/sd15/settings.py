@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from occfusion.errors import ConfigError
+from occfusion.fields import check_fields, setting
 from occfusion.observation.keypoints import SELF_OCCLUSION
 from occfusion.priors.sd15.loading import SAMPLERS
 from occfusion.priors.sd15.region import MULTIPLE
@@ -19,94 +20,110 @@ NO_EFFECT = (
 """Settings that leave the masks as they are; of the models, hashes are recorded instead."""
 
 
+PROMPT = (
+    "clean background, high contrast to background, a person only, plain clothes, simple clothes, natural body, "
+    "natural limbs, no texts, no overlay"
+)
+NEGATIVE_PROMPT = (
+    "multiple objects, occlusions, complex pattern, fancy clothes, longbody, lowres, bad anatomy, bad hands, "
+    "bad feet, missing fingers, cropped, worst quality, low quality, blurry"
+)
+SCORE_PROMPT = "the white silhouette of one whole person on black, all limbs, sharp outline"
+SCORE_NEGATIVE_PROMPT = (
+    "missing limbs, incomplete body, cropped, blurry, low quality, deformed, bad proportions"
+)
+
+
 @dataclass(frozen=True)
 class Sd15Settings:
-    """Settings of `prior=sd15`; the paper's values.
+    """Settings of `prior=sd15`; the paper's values. A prompt of None becomes the one that the default names."""
 
-    Attributes:
-        inpainting: id or folder of the inpainting model.
-        controlnet: id or folder of the ControlNet for OpenPose canvases.
-        segmenter: id or folder of SAM-HQ.
-        inpainting_revision: branch, tag or commit; null: the newest. Of an id only.
-        controlnet_revision: the same for the ControlNet.
-        segmenter_revision: the same for SAM-HQ.
-        local_files_only: whether nothing is downloaded.
-        prompt: what the picture shall show.
-        negative_prompt: what it shall not show.
-        steps: evaluations for each picture.
-        guidance: weight of the prompts (classifier-free guidance).
-        control_scale: weight of the ControlNet.
-        sampler: dpmsolver++, unipc, ddim, or model for the one that the model's folder names.
-        margin: pixels around the body's box.
-        resolution: longer side of the inpainted picture, pixels, a multiple of 8; 0: as the picture is.
-        self_occlusion: the paper's sigma, metres.
-        seed: of the noise; each frame has its own, made of this and its name.
-        dtype: float32, float16, bfloat16, or auto: float16 on a GPU, float32 on a CPU.
-        device: a PyTorch device; null: the run's.
-        attention_slicing: less memory, slower.
-        vae_slicing: less memory where several pictures are decoded.
-        cpu_offload: models are on the GPU only while they work; needs accelerate.
-    """
-
-    inpainting: str = "stable-diffusion-v1-5/stable-diffusion-inpainting"
-    controlnet: str = "lllyasviel/sd-controlnet-openpose"
-    segmenter: str = "syscv-community/sam-hq-vit-huge"
-    inpainting_revision: str | None = None
-    controlnet_revision: str | None = None
-    segmenter_revision: str | None = None
-    local_files_only: bool = True
-    prompt: str = (
-        "clean background, high contrast to background, a person only, plain clothes, simple clothes, natural body, "
-        "natural limbs, no texts, no overlay"
+    inpainting: str = setting(
+        "stable-diffusion-v1-5/stable-diffusion-inpainting", "id or folder of the inpainting model"
     )
-    negative_prompt: str = (
-        "multiple objects, occlusions, complex pattern, fancy clothes, longbody, lowres, bad anatomy, bad hands, "
-        "bad feet, missing fingers, cropped, worst quality, low quality, blurry"
+    controlnet: str = setting(
+        "lllyasviel/sd-controlnet-openpose", "id or folder of the ControlNet for OpenPose canvases"
     )
-    steps: int = 10
-    guidance: float = 7.5
-    control_scale: float = 1.0
-    sampler: str = "dpmsolver++"
-    margin: int = 20
-    resolution: int = 512
-    self_occlusion: float = SELF_OCCLUSION
-    seed: int = 0
-    dtype: str = "auto"
-    device: str | None = None
-    attention_slicing: bool = False
-    vae_slicing: bool = False
-    cpu_offload: bool = False
+    segmenter: str = setting("syscv-community/sam-hq-vit-huge", "id or folder of SAM-HQ")
+    inpainting_revision: str | None = setting(
+        None, "branch, tag or commit of the model; null: the newest; of an id only"
+    )
+    controlnet_revision: str | None = setting(None, "the same for the ControlNet")
+    segmenter_revision: str | None = setting(None, "the same for SAM-HQ")
+    local_files_only: bool = setting(True, "whether nothing is downloaded")
+    prompt: str | None = setting(None, f"what the picture shall show; null: the paper's, `{PROMPT}`")
+    negative_prompt: str | None = setting(
+        None, f"what it shall not show; null: the paper's, `{NEGATIVE_PROMPT}`"
+    )
+    steps: int = setting(10, "evaluations for each picture", 1)
+    guidance: float = setting(7.5, "weight of the prompts (classifier-free guidance)", 0)
+    control_scale: float = setting(1.0, "weight of the ControlNet", 0)
+    sampler: str = setting(
+        "dpmsolver++",
+        "of the diffusion; model: the one that the model's folder names",
+        choices=(*SAMPLERS, "model"),
+    )
+    margin: int = setting(20, "pixels around the body's box", 0)
+    resolution: int = setting(
+        512, "longer side of the inpainted picture, pixels; 0: as the picture is", 0, multiple=MULTIPLE
+    )
+    self_occlusion: float = setting(SELF_OCCLUSION, "the paper's sigma, metres", 0)
+    seed: int = setting(0, "of the noise; each frame has its own, made of this and its name", 0)
+    dtype: str = setting(
+        "auto", "of the networks; auto: float16 on a GPU, float32 on a CPU", choices=("auto", *DTYPES)
+    )
+    device: str | None = setting(None, "a PyTorch device; null: the run's")
+    attention_slicing: bool = setting(False, "less memory, slower")
+    vae_slicing: bool = setting(False, "less memory where several pictures are decoded")
+    cpu_offload: bool = setting(False, "models are on the GPU only while they work; needs accelerate")
 
     def __post_init__(self) -> None:
-        check_setting("steps", self.steps, self.steps >= 1, "at least 1")
-        check_setting("guidance", self.guidance, self.guidance >= 0.0, "0 or more")
-        check_setting("control_scale", self.control_scale, self.control_scale >= 0.0, "0 or more")
-        check_setting("margin", self.margin, self.margin >= 0, "0 or more")
-        allowed = self.resolution >= 0 and self.resolution % MULTIPLE == 0
-        check_setting(
-            "resolution", self.resolution, allowed, f"a multiple of {MULTIPLE}; 0: as the picture is"
-        )
-        check_setting("self_occlusion", self.self_occlusion, self.self_occlusion >= 0.0, "0 or more")
-        check_setting(
-            "sampler", self.sampler, self.sampler in (*SAMPLERS, "model"), f"{', '.join(SAMPLERS)}, model"
-        )
-        check_setting("dtype", self.dtype, self.dtype in ("auto", *DTYPES), f"auto, {', '.join(DTYPES)}")
+        check_fields(self, "prior")
+        fill_prompts(self, PROMPT, NEGATIVE_PROMPT)
 
 
-def check_setting(key: str, value: object, holds: bool, allowed: str) -> None:
-    """Refuses a value.
+@dataclass(frozen=True)
+class Sd15ScoreModels:
+    """Settings of `prior=sd15` under `score`. A prompt of None becomes the one that the default names."""
 
-    Args:
-        key: of the setting, below `prior`.
-        value: what was chosen.
-        holds: whether it is allowed.
-        allowed: what is, in words.
+    model: str = setting(
+        "stable-diffusion-v1-5/stable-diffusion-v1-5",
+        "id or folder of Stable Diffusion 1.5, the one that is not for inpainting",
+    )
+    controlnet: str = setting(
+        "lllyasviel/control_v11p_sd15_openpose", "id or folder of its ControlNet for OpenPose canvases"
+    )
+    model_revision: str | None = setting(
+        None, "branch, tag or commit of the model; null: the newest; of an id only"
+    )
+    controlnet_revision: str | None = setting(None, "the same for the ControlNet")
+    prompt: str | None = setting(None, f"the condition that guidance moves towards; null: `{SCORE_PROMPT}`")
+    negative_prompt: str | None = setting(
+        None,
+        "what it starts from; with guidance 0, as the paper has it, the only one used; null: "
+        f"`{SCORE_NEGATIVE_PROMPT}`",
+    )
+    control_scale: float = setting(1.0, "weight of the ControlNet", 0)
 
-    Raises:
-        ConfigError: `holds` is false.
-    """
-    if not holds:
-        raise ConfigError(f"setting prior.{key}={value!r}: must be {allowed}")
+    def __post_init__(self) -> None:
+        check_fields(self, "prior.score")
+        fill_prompts(self, SCORE_PROMPT, SCORE_NEGATIVE_PROMPT)
+
+
+@dataclass(frozen=True)
+class Sd15ScoreSettings(Sd15ScoreModels):
+    """The same, with what it shares with the mask prior; the VAE is in float32 whatever `dtype` is."""
+
+    local_files_only: bool = True
+    dtype: str = "auto"
+    device: str | None = None
+
+
+def fill_prompts(settings: Sd15Settings | Sd15ScoreModels, prompt: str, negative: str) -> None:
+    """Puts the prompts that are meant in the place of those that are None."""
+    for name, text in (("prompt", prompt), ("negative_prompt", negative)):
+        if getattr(settings, name) is None:
+            object.__setattr__(settings, name, text)
 
 
 def resolve_device(device: str | None, dtype: str, default: torch.device | str) -> torch.device:
