@@ -65,7 +65,9 @@ def rows(group: str, record: type, values: Mapping[str, Any]) -> list[Setting]:
         value = values.get(field.name, field.default)
         if dataclasses.is_dataclass(hints[field.name]) and isinstance(value, Mapping):
             inner += rows(key, hints[field.name], value)
-        elif field.name != "name" and value is not dataclasses.MISSING:  # a choice, or a group that is not asked for
+        elif (
+            field.name != "name" and value is not dataclasses.MISSING
+        ):  # a choice, or a group that is not asked for
             if not field.metadata.get("text"):
                 raise ConfigError(f"{key}: a setting without a sentence")
             allowed, kind = field.metadata["allowed"].in_words(), type_in_words(hints[field.name])
