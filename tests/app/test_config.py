@@ -10,6 +10,7 @@ from hydra.errors import HydraException
 from occfusion.data import OcclusionSettings
 from occfusion.errors import ConfigError
 from occfusion.human.densify import Densification
+from occfusion.settings.names import without_old_names
 from occfusion.settings.schema import (
     EvaluationSettings,
     Settings,
@@ -208,3 +209,27 @@ def test_every_dataset_lets_its_occlusion_be_set(dataset: str) -> None:
     )
     chosen = settings_of(f"dataset={dataset}", "occlusion@dataset.occlusion=none").dataset.occlusion
     assert chosen == OcclusionSettings("none")
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("+refine.mask_hidden=1", r"refine\.mask_hidden: has another name now: refine\.hidden\.weight"),
+        ("+refine.lambda_gen=1", r"another name now: refine\.references\.weight"),
+        ("+optim.sh_frame=world", "no such setting any more"),
+        ("+dataset.frmaes=3", r"dataset\.frmaes: unknown; did you mean frames"),
+        ("+prior.inpaint.sampels=3", r"prior\.inpaint\.sampels: unknown; did you mean samples"),
+        ("dataset.frames=many", r"dataset\.frames='many': expected int"),
+        ("prior.draws=0", r"prior\.draws=0: must be at least 1"),
+        ("optim.hidden.weight=0.5", r"optim\.hidden\.weight=0\.5: .*choose optim\.hidden\.target=complete"),
+        ("optim.hidden.target=outline", "no outline of its own before the refinement"),
+    ],
+)
+def test_old_unknown_and_impossible_settings_are_refused_with_what_to_do(override: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        settings_of(override)
+
+
+def test_a_record_of_a_run_from_before_is_read_without_the_names_of_then() -> None:
+    kept = without_old_names({"optim": {"mask_hidden": 1.0, "steps": 7, "sds": {"start_step": 0}}, "seed": 1})
+    assert kept == {"optim": {"steps": 7, "sds": {}}, "seed": 1}

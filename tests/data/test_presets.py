@@ -9,7 +9,7 @@ from data.tiny_scene import write_tiny_scene
 from occfusion.data import ZjuDataModule
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.prepare import Selection, held_out_range, train_range
-from occfusion.data.zju.zju_protocols import PRESETS, find_preset, place_strip, select
+from occfusion.data.zju.zju_protocols import PRESETS, place_strip, select
 from occfusion.errors import ConfigError
 
 FRAMES = {"377": 617, "386": 646, "387": 654, "392": 556, "393": 658, "394": 859}
@@ -23,7 +23,7 @@ def strip(protocol: str, scene: str) -> tuple[float, float]:
 
 @pytest.mark.parametrize("protocol", ["paper", "gauhuman"])
 def test_the_papers_frames(protocol):
-    chosen = select(find_preset(protocol), "CoreView_377", NOTHING)
+    chosen = select(PRESETS[protocol], "CoreView_377", NOTHING)
     assert train_range(chosen.train_frames, 617) == tuple(range(0, 500, 5))
     assert held_out_range(chosen.test_frames, 617) == tuple(range(0, 481, 30))
 
@@ -34,7 +34,7 @@ def test_the_papers_frames(protocol):
      ("394", 475, 380)],
 )  # fmt: skip
 def test_occnerfs_frames(subject, frames, occluded):
-    chosen = select(find_preset("occnerf"), f"my_{subject}", NOTHING)
+    chosen = select(PRESETS["occnerf"], f"my_{subject}", NOTHING)
     train = train_range(chosen.train_frames, FRAMES[subject])
     assert train == tuple(range(frames)) and abs(0.8 * len(train) - occluded) < 1
     assert held_out_range(chosen.test_frames, FRAMES[subject]) == tuple(range(0, frames, 30))
@@ -50,7 +50,7 @@ def test_strips_of_both_tables():
 
 def test_what_is_given_by_hand_wins():
     asked = Selection(0, None, [0, 9, 1], [3, 4, 1])
-    assert select(find_preset("occnerf"), "377", asked) == asked
+    assert select(PRESETS["occnerf"], "377", asked) == asked
     placed = place_strip(PRESETS["paper"], "377", OcclusionSettings("strip", mid=1.0))
     assert (placed.mid, placed.width) == (1.0, 70)
     moving = OcclusionSettings("moving")

@@ -78,7 +78,9 @@ def stage_of(
         hidden=HiddenSettings("outline" if outlines else "complete", hidden),
         references=ReferenceSettings(**counted),
     )
-    uncertain = UncertainMasks({7: (~mask_of(SEEN) & ~mask_of(ELSEWHERE)).numpy()}, {7: mask_of(UNASKED).numpy()})
+    uncertain = UncertainMasks(
+        {7: (~mask_of(SEEN) & ~mask_of(ELSEWHERE)).numpy()}, {7: mask_of(UNASKED).numpy()}
+    )
     return RefineStage(
         Avatar(embedded_body()), chosen, references, uncertain, outlines or {}, perceptual=None,
         densifier=None, renderer=Renderer("torch"), seed=0, steps_before=0,

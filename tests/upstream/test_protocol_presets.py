@@ -20,7 +20,7 @@ from occfusion.data import ZjuDataModule
 from occfusion.data.occlusion import OcclusionSettings, plan
 from occfusion.data.prepare import Selection, held_out_cameras, held_out_range, train_range
 from occfusion.data.silhouette import Silhouette
-from occfusion.data.zju.zju_protocols import PRESETS, describe, find_preset, place_strip, select
+from occfusion.data.zju.zju_protocols import PRESETS, describe, place_strip, select
 from occfusion.errors import ConfigError
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -39,13 +39,13 @@ NOTHING = Selection(0, None, None, None)
 
 
 def frames_of(protocol: str, subject: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    chosen = select(find_preset(protocol), f"CoreView_{subject}", NOTHING)
+    chosen = select(PRESETS[protocol], f"CoreView_{subject}", NOTHING)
     total = FRAMES[subject]
     return train_range(chosen.train_frames, total), held_out_range(chosen.test_frames, total)
 
 
 def held_out(protocol: str, cameras: int = 23) -> tuple[int, ...]:
-    preset = find_preset(protocol)
+    preset = PRESETS[protocol]
     chosen = select(preset, "CoreView_377", NOTHING)
     return held_out_cameras(chosen.test_cameras, preset.train_camera, cameras)
 

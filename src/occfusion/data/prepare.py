@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from occfusion.data.scene import PictureFiles, Scene
 from occfusion.data.silhouette import Hidden
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.images import read_numbers
+
+T = TypeVar("T")
 
 TRAIN_FRAMES = 100
 """The paper trains on 100 frames of each ZJU-MoCap sequence, 0 to 495."""
@@ -217,3 +220,19 @@ def _nobody(files: PictureFiles, frames: int) -> str:
         f"{path}: no person {files.label} in this mask, which has {there}, nor in the masks of any of the {frames} "
         f"training frames. Give dataset.person the value that the masks have, or check dataset.masks."
     )
+
+
+def find_protocol(protocols: Mapping[str, T], name: str, dataset: str) -> T:
+    """Returns the protocol of a name.
+
+    Args:
+        protocols: those of a data set.
+        name: of the one that is wanted.
+        dataset: for messages.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    if name not in protocols:
+        raise ConfigError(f"dataset.protocol={name!r}: for {dataset} choose one of {', '.join(protocols)}.")
+    return protocols[name]

@@ -108,8 +108,9 @@ class Sd15Inpainter(Inpainter):
     @property
     def negative_prompt(self) -> str:
         """What the picture shall not show."""
-        own = self.settings.negative_prompt
-        return self.shared.negative_prompt if own is None else own
+        own, shared = self.settings.negative_prompt, self.shared.negative_prompt
+        assert shared is not None  # filled in
+        return shared if own is None else own
 
     def describe(self) -> dict[str, Any]:
         """Returns what decides the pictures: prompts, sampling, precision, and the hashes of the models."""

@@ -44,7 +44,7 @@ def load_run(folder: Path) -> FinishedRun:
         raise CheckpointError(f"{folder} is not a run folder: config.yaml is missing")
     config = OmegaConf.to_container(OmegaConf.load(folder / "config.yaml"))
     assert isinstance(config, dict)
-    settings = load_settings(without_old_names(config))
+    settings = load_settings(without_old_names({str(key): value for key, value in config.items()}))
     for stage in reversed(STAGES):
         file = folder / stage / "avatar.safetensors"
         if file.is_file():

@@ -8,10 +8,10 @@ from typing import Any
 from occfusion.data.layouts import OCMOTION, ZJU
 from occfusion.data.module import MAX_SIZE, MIN_SIZE
 from occfusion.data.occlusion import OcclusionSettings
-from occfusion.data.ocmotion_protocol import PROTOCOLS as OCMOTION_PROTOCOLS
-from occfusion.data.presets import PRESETS
-from occfusion.data.video_presets import PROTOCOLS as VIDEO_PROTOCOLS
-from occfusion.data.zju_layout import AUTO_FIT, FITS
+from occfusion.data.ocmotion.ocmotion_protocols import PROTOCOLS as OCMOTION_PROTOCOLS
+from occfusion.data.video.video_protocols import PROTOCOLS as VIDEO_PROTOCOLS
+from occfusion.data.zju.zju_layout import AUTO_FIT, FITS
+from occfusion.data.zju.zju_protocols import PRESETS
 from occfusion.fields import setting, with_default
 from occfusion.synth.spec import LIGHTS
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -187,7 +186,7 @@ class Settings:
     )
 
 
-def load_settings(config: DictConfig | Mapping[str, Any]) -> Settings:
+def load_settings(config: DictConfig | dict[str, Any]) -> Settings:
     """Returns the composed configuration as typed, checked settings.
 
     Raises:
@@ -195,7 +194,9 @@ def load_settings(config: DictConfig | Mapping[str, Any]) -> Settings:
             does not exist.
     """
     try:
-        content = OmegaConf.to_container(OmegaConf.create(config), resolve=True)
+        content = OmegaConf.to_container(
+            config if isinstance(config, DictConfig) else OmegaConf.create(config), resolve=True
+        )
     except OmegaConfBaseException as error:
         key = getattr(error, "full_key", None) or "?"
         raise ConfigError(f"setting {key}: {str(error).splitlines()[0]}") from error
@@ -206,7 +207,7 @@ def load_settings(config: DictConfig | Mapping[str, Any]) -> Settings:
         if isinstance(own := given.get(group), dict):
             name = str(own.get("name"))
             check_choice(f"{group}.name", name, tuple(records))
-            given[group] = read_record(records[name], own, group)  # type: ignore[index]
+            given[group] = read_record(records[name], own, group)
     settings = read_record(Settings, given)
     for stage in ("optim", "refine"):
         getattr(settings, stage).check(stage)

@@ -17,10 +17,10 @@ from occfusion.data.layouts import OCMOTION, find_layout, noted
 from occfusion.data.module import HumanDataModule
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.ocmotion.chomp_layout import MASKS, ChompScene
-from occfusion.data.ocmotion.ocmotion_protocols import PROTOCOLS, find_ocmotion_protocol
+from occfusion.data.ocmotion.ocmotion_protocols import PROTOCOLS
 from occfusion.data.ocmotion.w2a_layout import W2aScene
 from occfusion.data.posing import RestBody
-from occfusion.data.prepare import Selection
+from occfusion.data.prepare import Selection, find_protocol
 from occfusion.data.scene import Scene
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.images import image_size as stored_size
@@ -77,7 +77,7 @@ class OcMotionDataModule(HumanDataModule):
         Raises:
             ConfigError: a setting is out of its range.
         """
-        self._protocol, self._protocol_name = find_ocmotion_protocol(protocol), protocol
+        self._protocol, self._protocol_name = find_protocol(PROTOCOLS, protocol, "OcMotion"), protocol
         self._frames_given = train_frames is not None
         frames = self._protocol.frames if train_frames is None else train_frames
         held_out = self._protocol.frames if test_frames is None else test_frames

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from occfusion.errors import ConfigError
+from occfusion.data.prepare import find_protocol
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def describe_ocmotion(name: str) -> dict[str, str]:
     Raises:
         ConfigError: there is none of that name.
     """
-    protocol = find_ocmotion_protocol(name)
+    protocol = find_protocol(PROTOCOLS, name, "OcMotion")
     start, stop, step = protocol.frames
     until = "the end" if stop is None else str(stop - 1)
     return {
@@ -103,14 +103,3 @@ def describe_ocmotion(name: str) -> dict[str, str]:
         "source": protocol.source,
         "differs": " ".join(protocol.differs),
     }
-
-
-def find_ocmotion_protocol(name: str) -> OcMotionProtocol:
-    """Returns the protocol of a name.
-
-    Raises:
-        ConfigError: there is none of that name.
-    """
-    if name not in PROTOCOLS:
-        raise ConfigError(f"dataset.protocol={name!r}: for OcMotion choose one of {', '.join(PROTOCOLS)}.")
-    return PROTOCOLS[name]

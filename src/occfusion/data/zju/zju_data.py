@@ -10,12 +10,12 @@ from occfusion.data.layouts import ZJU, find_layout, noted
 from occfusion.data.module import HumanDataModule
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.posing import RestBody
-from occfusion.data.prepare import Selection
+from occfusion.data.prepare import Selection, find_protocol
 from occfusion.data.scene import Scene
 from occfusion.data.zju.humannerf_layout import HumanNerfScene
 from occfusion.data.zju.stored_vertices import compare_with_stored
 from occfusion.data.zju.zju_layout import AUTO_FIT, ZjuScene
-from occfusion.data.zju.zju_protocols import find_preset, place_strip, select
+from occfusion.data.zju.zju_protocols import PRESETS, place_strip, select
 from occfusion.errors import ConfigError
 
 
@@ -67,7 +67,7 @@ class ZjuDataModule(HumanDataModule):
             raise ConfigError("dataset.root and dataset.scene must name a folder and a sequence in it.")
         if layout not in ("auto", *ZJU):
             raise ConfigError(f"dataset.layout={layout!r}: choose auto, {', '.join(ZJU)}.")
-        preset, folder = find_preset(protocol), Path(root) / str(scene)
+        preset, folder = find_protocol(PRESETS, protocol, "ZJU-MoCap"), Path(root) / str(scene)
         self._layout = find_layout(folder, ZJU, layout) if folder.is_dir() else layout
         alone = self._layout == "humannerf"
         if train_camera is None:

@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from occfusion.data.occlusion import STRIPS, OcclusionSettings, zju_subject
-from occfusion.data.prepare import MAX_STEP, TEST_EVERY, TRAIN_FRAMES, Selection
-from occfusion.errors import ConfigError
+from occfusion.data.prepare import MAX_STEP, TEST_EVERY, TRAIN_FRAMES, Selection, find_protocol
 
 Range = Sequence[int | None]
 """`[start, stop, step]`; a stop of None is the end of the sequence."""
@@ -151,24 +150,13 @@ PRESETS = {
 }
 
 
-def find_preset(name: str) -> Preset:
-    """Returns the protocol of a name.
-
-    Raises:
-        ConfigError: there is none of that name.
-    """
-    if name not in PRESETS:
-        raise ConfigError(f"dataset.protocol={name!r}: choose one of {', '.join(PRESETS)}.")
-    return PRESETS[name]
-
-
 def describe(name: str) -> dict[str, str]:
     """Returns what a protocol says, in words, for a page that lists them.
 
     Raises:
         ConfigError: there is none of that name.
     """
-    preset = find_preset(name)
+    preset = find_protocol(PRESETS, name, "ZJU-MoCap")
     if preset.stretch is not None:
         stretch = ", ".join(f"{subject}: {count}" for subject, count in sorted(preset.stretch.items()))
         train, test = (

@@ -46,7 +46,7 @@ class Sd15Score(ScorePrior[Tensor]):
         self.dtype = auto if settings.dtype == "auto" else settings.dtype
         kinds = (SCORE_MODEL, SCORE_CONTROLNET)
         self.hashes = [fingerprint(*pair) for pair in zip(folders, kinds, strict=True)]
-        parts = load_denoiser(*folders, DTYPES[self.dtype], (settings.prompt, settings.negative_prompt))
+        parts = load_denoiser(*folders, DTYPES[self.dtype], settings.prompts)
         self.unet, self.controlnet = parts.unet.to(self.device), parts.controlnet.to(self.device)
         self.vae = parts.vae.to(self.device)
         self.positive, self.negative = (text.to(self.device) for text in parts.texts)

@@ -109,6 +109,12 @@ class Sd15ScoreModels:
         check_fields(self, "prior.score")
         fill_prompts(self, SCORE_PROMPT, SCORE_NEGATIVE_PROMPT)
 
+    @property
+    def prompts(self) -> tuple[str, str]:
+        """Both prompts."""
+        assert self.prompt is not None and self.negative_prompt is not None  # filled in
+        return self.prompt, self.negative_prompt
+
 
 @dataclass(frozen=True)
 class Sd15ScoreSettings(Sd15ScoreModels):
