@@ -168,9 +168,14 @@ def test_scaling_all_weights_changes_nothing(train: Train, monkeypatch: pytest.M
     monkeypatch.setattr("occfusion.stages.avatar.ADAM_EPS", 1e-18)
     options = [*SHORT, "refine.densification.after_step=3", "refine.densification.every=4", "refine.steps=6"]
     # exact in binary, and large: round Gaussians turn by rounding alone, and squares under 1e-38 are 0 in float32
-    weights = {"rgb": 2.0**20, "mask": 2.0**22, "gen": 2.0**17, "ssim": 2.0**18}
-    options += [f"refine.lambda_{name}={weight}" for name, weight in weights.items()]
-    scaled = [f"refine.lambda_{name}={2.0**10 * weight}" for name, weight in weights.items()]
+    weights = {
+        "lambda_rgb": 2.0**20,
+        "lambda_mask": 2.0**22,
+        "references.weight": 2.0**17,
+        "lambda_ssim": 2.0**18,
+    }
+    options += [f"refine.{name}={weight}" for name, weight in weights.items()]
+    scaled = [f"refine.{name}={2.0**10 * weight}" for name, weight in weights.items()]
     a, _ = train(*options, folder="a")
     b, _ = train(*options, *scaled, folder="b")
     first, second = parameters(a), parameters(b)
