@@ -79,7 +79,7 @@ def source_state(settings: Settings) -> str | None:
         return None
     own = Path(root) / str(scene)
     # embedded scenes lie one level deeper, in a folder for each size and length; settings of the turn lengthen the name
-    turns = any(settings.dataset.get(key) is not None for key in ("turn", "facing"))
+    turns = any(getattr(settings.dataset, key, None) is not None for key in ("turn", "facing"))
     pattern = f"{scene}*" if turns else scene
     folders = (
         [own] if own.is_dir() else sorted(path for path in Path(root).glob(f"*/{pattern}") if path.is_dir())

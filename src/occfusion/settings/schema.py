@@ -118,7 +118,9 @@ class TrainerSettings:
 class EvaluationSettings:
     """What is measured after training, and how often during it."""
 
-    held_out: bool = setting(True, "the test cameras: regions `full`, `box`, `seen_many`, `seen_one` and `unseen`")
+    held_out: bool = setting(
+        True, "the test cameras: regions `full`, `box`, `seen_many`, `seen_one` and `unseen`"
+    )
     training_views: bool = setting(True, "the training camera: regions `visible` and `hidden`")
     training_stride: int = setting(5, "every k-th training view", 1, 10_000)
     perceptual: bool = setting(True, "whether the perceptual metric is computed at all")
