@@ -11,7 +11,6 @@ import torch
 from safetensors.torch import load_file
 
 from occfusion.errors import NumericsError
-from occfusion.priors.embedded import silhouette_prior
 from occfusion.priors.embedded.silhouette_prior import EmbeddedScore
 from occfusion.run import objects as run_objects
 from occfusion.run import stages as avatar_run
@@ -100,13 +99,13 @@ def test_without_weight_nothing_is_built(train: Train, variant: str, monkeypatch
 
     monkeypatch.setattr(avatar_run, "make_score_prior", refused)
     monkeypatch.setattr(Distiller, "__init__", refused)
-    monkeypatch.setattr(silhouette_prior, "load_silhouette_net", refused)
+    monkeypatch.setattr(EmbeddedScore, "__init__", refused)
     recipe = "ours"
     if (
         variant == "gauhuman"
     ):  # as published it asks nothing of the frames; the others judge how well poses fit
         recipe = "paper"
-        monkeypatch.setattr(run_objects, "look_at_training_frames", refused)
+        monkeypatch.setattr(run_objects, "observe_training_frames", refused)
     for library in ("diffusers", "transformers"):
         monkeypatch.setitem(sys.modules, library, None)
     folder, _ = train(f"variant={variant}", f"recipe={recipe}", "trainer.fast_dev_run=true")

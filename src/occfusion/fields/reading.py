@@ -74,7 +74,7 @@ def check_choice(key: str, value: str, choices: Sequence[str]) -> None:
         ConfigError: with the choices.
     """
     if value not in choices:
-        raise ConfigError(f"setting {key}={value!r}: must be {Allowed(choices=tuple(choices)).in_words()}")
+        raise ConfigError(f"setting {key}: {value!r} is not one of {', '.join(choices)}")
 
 
 def nearest(name: str, known: Iterable[str], *, few: bool = False) -> str:
