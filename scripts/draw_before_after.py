@@ -20,8 +20,8 @@ from occfusion.evaluation.pictures import captioned, to_uint8
 from occfusion.files.atomic import write_png
 from occfusion.human import Avatar
 from occfusion.human.rendering import Renderer
-from occfusion.run.compose import make_body, make_data
 from occfusion.run.loaded import load_run
+from occfusion.run.prepare import make_body, make_data
 from occfusion.types import Frame
 
 MARGIN = 0.08  # of the person's height

@@ -33,7 +33,7 @@ LIGHTNING = {"data/module.py", "stages", "run", "cli"}
 # heavy or optional libraries, and the only parts that may import them when they are themselves imported
 AT_TOP_LEVEL_ONLY_IN = {
     "lightning": LIGHTNING,
-    "hydra": {"cli", "run/app.py", "run/compose.py"},
+    "hydra": {"cli", "run/app.py"},
     "diffusers": set(),
     "transformers": set(),
     "gsplat": set(),
@@ -47,11 +47,10 @@ AT_TOP_LEVEL_ONLY_IN = {
 }
 # libraries that only a few parts may touch at all
 ANYWHERE_ONLY_IN = {
-    "hydra": {"cli", "run/app.py", "run/compose.py", "settings/schema.py"},
+    "hydra": {"cli", "run/app.py", "settings/schema.py"},
     "omegaconf": {
         "cli",
         "run/app.py",
-        "run/compose.py",
         "run/loaded.py",
         "run/folder.py",
         "settings",

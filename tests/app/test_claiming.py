@@ -14,9 +14,10 @@ from omegaconf import OmegaConf
 
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes
+from occfusion.files.run_folder import RunFolder
+from occfusion.files.sharing import offer, sole_maker, take
 from occfusion.run import folder as runfolder
 from occfusion.run.folder import at_work, claim_run_folder
-from occfusion.run.sharing import offer, sole_maker, take
 from occfusion.settings.schema import Settings, VariantSettings
 
 SPAWN = multiprocessing.get_context("spawn")
@@ -40,7 +41,7 @@ def claim_again_and_again(
     for number in range(ROUNDS):
         barrier.wait(60)
         folder = root / str(number) / "run"
-        claimed.append(claim_run_folder(settings(folder, seed), "data", chosen_by_user=False).name)
+        claimed.append(claim_run_folder(settings(folder, seed), "data", chosen_by_user=False).path.name)
     results.put((seed, claimed))
 
 
@@ -90,7 +91,7 @@ def test_who_finds_a_folder_free_and_comes_second_takes_another(
     claimed: dict[int, Path] = {}
 
     def claim(seed: int) -> None:
-        claimed[seed] = claim_run_folder(settings(tmp_path / "run", seed), "data", chosen_by_user=False)
+        claimed[seed] = claim_run_folder(settings(tmp_path / "run", seed), "data", chosen_by_user=False).path
 
     threads = [threading.Thread(target=claim, args=(seed,)) for seed in (0, 1)]
     for thread in threads:
@@ -109,11 +110,15 @@ def test_a_folder_is_claimed_once_also_where_links_do_not_exist(
         raise OSError("no links here")
 
     monkeypatch.setattr(os, "link", refuse)
-    assert claim_run_folder(settings(tmp_path / "run", 0), "data", chosen_by_user=True) == tmp_path / "run"
+    assert (
+        claim_run_folder(settings(tmp_path / "run", 0), "data", chosen_by_user=True).path == tmp_path / "run"
+    )
     assert json.loads((tmp_path / "run" / "environment.json").read_text())["identity"]
     with pytest.raises(ConfigError, match="other settings"):
         claim_run_folder(settings(tmp_path / "run", 1), "data", chosen_by_user=True)
-    assert claim_run_folder(settings(tmp_path / "run", 0), "data", chosen_by_user=True) == tmp_path / "run"
+    assert (
+        claim_run_folder(settings(tmp_path / "run", 0), "data", chosen_by_user=True).path == tmp_path / "run"
+    )
     monkeypatch.setattr(runfolder, "MARKER_PATIENCE", 0.1)
     (tmp_path / "run" / "environment.json").write_bytes(b"")  # its writer was killed between name and content
     with pytest.raises(CheckpointError, match="move the folder away"):
@@ -124,8 +129,10 @@ def test_what_a_killed_process_left_does_not_make_a_folder_taken(tmp_path: Path)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / ".environment.json.abc.partial").write_bytes(b"{")
     (tmp_path / "run" / ".at_work").write_bytes(b"process 1 on nowhere")
-    assert claim_run_folder(settings(tmp_path / "run", 0), "data", chosen_by_user=True) == tmp_path / "run"
-    with at_work(tmp_path / "run"):
+    assert (
+        claim_run_folder(settings(tmp_path / "run", 0), "data", chosen_by_user=True).path == tmp_path / "run"
+    )
+    with at_work(RunFolder(tmp_path / "run")):
         pass
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "holiday.jpg").write_bytes(b"1")
@@ -135,12 +142,12 @@ def test_what_a_killed_process_left_does_not_make_a_folder_taken(tmp_path: Path)
 
 def test_the_same_run_is_not_done_by_two_at_once(tmp_path: Path) -> None:
     with (
-        at_work(tmp_path),
+        at_work(RunFolder(tmp_path)),
         pytest.raises(ConfigError, match="is at work on this very run"),
-        at_work(tmp_path),
+        at_work(RunFolder(tmp_path)),
     ):
         pass
-    with at_work(tmp_path):
+    with at_work(RunFolder(tmp_path)):
         pass
     assert not os.listdir(tmp_path)
 
@@ -164,7 +171,7 @@ def test_shared_results_are_made_by_one_while_others_wait(
     shared, made = tmp_path / "init" / "key", []
 
     def make(number: int) -> None:
-        with sole_maker(shared, "init"):
+        with sole_maker(shared):
             if not shared.exists():
                 made.append(number)
                 first_is_in.set()

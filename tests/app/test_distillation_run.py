@@ -12,8 +12,8 @@ from safetensors.torch import load_file
 
 from occfusion.errors import NumericsError
 from occfusion.priors.embedded.silhouette_prior import EmbeddedScore
-from occfusion.run import objects as run_objects
-from occfusion.run import stages as avatar_run
+from occfusion.run import optim as optim_run
+from occfusion.run import prepare
 from occfusion.stages.distil import Distiller
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
@@ -75,7 +75,7 @@ def test_the_whole_system_leaves_it_out_where_masks_are_complete(
     refine = ("variant=E", SHORT, "refine.steps=1", "refine.references.source=coarse", *alike)
     train("variant=B", SHORT, folder="b")
     with monkeypatch.context() as patch:
-        patch.setattr(run_objects, "check_score_prior", lambda *_: pytest.fail("it is not needed"))
+        patch.setattr(prepare, "check_score_prior", lambda *_: pytest.fail("it is not needed"))
         _, metrics = train(*refine, folder="e")
     assert calls == [] and "optim: trained before" in capsys.readouterr().out
     assert {"loss term sds_pose", "loss term sds_can"} <= set(metrics["left_out"])
@@ -97,7 +97,7 @@ def test_without_weight_nothing_is_built(train: Train, variant: str, monkeypatch
     def refused(*_: Any) -> None:
         raise AssertionError("built for a weight of zero")
 
-    monkeypatch.setattr(avatar_run, "make_score_prior", refused)
+    monkeypatch.setattr(optim_run, "make_score_prior", refused)
     monkeypatch.setattr(Distiller, "__init__", refused)
     monkeypatch.setattr(EmbeddedScore, "__init__", refused)
     recipe = "ours"
@@ -105,7 +105,7 @@ def test_without_weight_nothing_is_built(train: Train, variant: str, monkeypatch
         variant == "gauhuman"
     ):  # as published it asks nothing of the frames; the others judge how well poses fit
         recipe = "paper"
-        monkeypatch.setattr(run_objects, "observe_training_frames", refused)
+        monkeypatch.setattr(prepare, "observe_training_frames", refused)
     for library in ("diffusers", "transformers"):
         monkeypatch.setitem(sys.modules, library, None)
     folder, _ = train(f"variant={variant}", f"recipe={recipe}", "trainer.fast_dev_run=true")
@@ -113,7 +113,7 @@ def test_without_weight_nothing_is_built(train: Train, variant: str, monkeypatch
 
 
 def test_whole_people_leave_nothing_to_push(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(avatar_run, "make_score_prior", lambda *_: pytest.fail("no frame hides anything"))
+    monkeypatch.setattr(optim_run, "make_score_prior", lambda *_: pytest.fail("no frame hides anything"))
     folder, _ = train("variant=C", "trainer.fast_dev_run=true", "dataset.occlusion.kind=none")
     decisions = json.loads((folder / "plan.json").read_text())["decisions"]
     (reason,) = (d["reason"] for d in decisions if d["part"] == "loss term sds_pose")

@@ -33,8 +33,8 @@ def test_masks(make: Make, data: ZjuDataModule, monkeypatch: pytest.MonkeyPatch,
     """Uncertainty, mask and manifest of a frame are a write each; the disk is full from the given one on."""
     stage = make(CountingPrior(0.7), smoothing=0.0)
     run(stage, data)
-    wanted = {path.name: path.read_bytes() for path in stage.folder.glob("*.png")}
-    shutil.rmtree(stage.folder)
+    wanted = {path.name: path.read_bytes() for path in stage.folder.path.glob("*.png")}
+    shutil.rmtree(stage.folder.path)
     left, sync = [writes], os.replace
 
     def replace(source: str, target: Path) -> None:
@@ -47,11 +47,11 @@ def test_masks(make: Make, data: ZjuDataModule, monkeypatch: pytest.MonkeyPatch,
         patch.setattr(os, "replace", replace)
         with pytest.raises(DataError, match=r"masks.*cannot be written .No space left"):
             run(make(CountingPrior(0.7), smoothing=0.0), data)
-    assert not [path for path in stage.folder.rglob("*") if path.name.endswith(".partial")]
+    assert not [path for path in stage.folder.path.rglob("*") if path.name.endswith(".partial")]
     again = make(CountingPrior(0.7), smoothing=0.0)
     assert len(again.records) == writes // 3  # only what the manifest vouches for
     run(again, data)
-    assert {path.name: path.read_bytes() for path in stage.folder.glob("*.png")} == wanted
+    assert {path.name: path.read_bytes() for path in stage.folder.path.glob("*.png")} == wanted
 
 
 def test_checkpoints(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:

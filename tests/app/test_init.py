@@ -12,6 +12,7 @@ import torch
 from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import DataError, NumericsError
 from occfusion.files.images import read_mask
+from occfusion.files.run_folder import RunFolder
 from occfusion.human import Body, load_body
 from occfusion.observation.frames import Observation, ObservedFrame, observe_frames
 from occfusion.priors.calibration import STILL, Calibration, calibrate, measure_thickness
@@ -19,7 +20,7 @@ from occfusion.priors.embedded.network_file import save_net
 from occfusion.priors.embedded.silhouette_net import SILHOUETTE, load_silhouette_net
 from occfusion.priors.masks import MaskPrior
 from occfusion.settings.stages import InitSettings
-from occfusion.stages.init import InitStage, mask_path
+from occfusion.stages.init import InitStage
 from occfusion.types import Frame
 
 SCENE = "001-clean"
@@ -66,7 +67,13 @@ def make(data: ZjuDataModule, body: Body, observed_frames: list[ObservedFrame], 
             return data.train_frame(k, truth=False)
 
         return InitStage(
-            prior, body, observed_frames, read, InitSettings(**settings), tmp_path / "masks", {"data": "x"}
+            prior,
+            body,
+            observed_frames,
+            read,
+            InitSettings(**settings),
+            RunFolder(tmp_path).masks,
+            {"data": "x"},
         )
 
     return stage
@@ -90,15 +97,14 @@ def test_occluded_frames_are_completed_and_the_others_passed_through(
     assert prior.asked == sum(occluded)
     for position, observed_frame in enumerate(observed_frames):
         frame = data.train_frame(position)
-        mask = read_mask(mask_path(stage.folder, observed_frame.index))
+        mask = read_mask(stage.folder.picture(observed_frame.index))
         visible = frame.visible_mask.numpy()
         assert not (visible & ~mask).any()
         assert not (mask & observed_frame.evidence.background).any()
         if not observed_frame.evidence.occluded:
             assert (mask == visible).all()
-        assert (
-            stage.folder / "uncertainty" / f"{observed_frame.index:06d}.png"
-        ).is_file() is observed_frame.evidence.occluded
+        uncertainty = stage.folder.path / "uncertainty" / f"{observed_frame.index:06d}.png"
+        assert uncertainty.is_file() is observed_frame.evidence.occluded
 
 
 def test_the_strip_of_the_first_frames_is_what_is_found(
@@ -117,7 +123,7 @@ def test_an_interrupted_run_continues_and_other_settings_begin_anew(make: Make, 
     stage = make(prior, smoothing=0.0)
     run(stage, data)
     first = prior.asked
-    removed = mask_path(stage.folder, next(m.index for m in stage.observed_frames if m.evidence.occluded))
+    removed = stage.folder.picture(next(m.index for m in stage.observed_frames if m.evidence.occluded))
     removed.unlink()
     again = make(prior, smoothing=0.0)
     assert len(again.wanted) == 1
@@ -135,7 +141,7 @@ def test_nan_stops_with_the_prior_and_the_frame_named(make: Make, data: ZjuDataM
     frame = data.train_frame(position, truth=False)
     with pytest.raises(NumericsError, match=rf"prior counting, frame {frame.name}.*not finite"):
         stage.predict_step(frame, 0)
-    assert not mask_path(stage.folder, frame.index).exists()
+    assert not stage.folder.picture(frame.index).exists()
 
 
 def test_a_body_outside_the_picture_is_named(data: ZjuDataModule, body: Body) -> None:
@@ -152,7 +158,13 @@ def test_a_frame_with_everything_hidden_is_completed_and_counted(
     nothing = type(frame)(**{**vars(frame), "visible_mask": torch.zeros_like(frame.visible_mask)})
     observed_frames = observe_frames([nothing], body)
     stage = InitStage(
-        CountingPrior(0.9), body, observed_frames, lambda _: nothing, InitSettings(), tmp_path, {}
+        CountingPrior(0.9),
+        body,
+        observed_frames,
+        lambda _: nothing,
+        InitSettings(),
+        RunFolder(tmp_path).masks,
+        {},
     )
     record = stage.predict_step(nothing, 0)
     assert record["status"] == "completed, nothing seen"
@@ -164,7 +176,7 @@ def test_manifest_says_with_what(make: Make, data: ZjuDataModule) -> None:
     stage.calibration = Calibration(STILL, np.zeros(6890))
     run(stage, data)
     stage.write_manifest(consistency=stage.consistency())
-    content = json.loads((stage.folder / "manifest.json").read_text())
+    content = json.loads(stage.folder.manifest.read_text())
     assert content["identity"]["prior"] == "counting"
     assert content["identity"]["data"] == "x"
     assert content["calibration"]["weights"] == [1.0, 0.0, 0.0]

@@ -14,9 +14,8 @@ from hydra import compose, initialize_config_dir
 
 from occfusion.observation.key_light import find_key_light
 from occfusion.run import app
-from occfusion.run.compose import make_body, make_data
 from occfusion.run.loaded import load_run
-from occfusion.run.masks import observe_training_frames
+from occfusion.run.prepare import make_body, make_data, observe_training_frames
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.synth.light import AMBIENT, KEY_DIRECTION
 

@@ -14,11 +14,11 @@ import torch
 from app.test_losses_log import rows_of
 from app.test_run import assert_same, parameters
 from occfusion.errors import ConfigError
+from occfusion.files.run_folder import RunFolder
 from occfusion.settings.stages import LoggerSettings
 from occfusion.stages import loggers
 from occfusion.stages.interruption import SignalGuard
 from occfusion.stages.loggers import beside_truth, check_logger
-from occfusion.stages.losses_log import LOSS_TABLE
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 
@@ -49,8 +49,8 @@ def test_tensorboard_has_curves_and_pictures_and_training_stays_the_same(
     folder, _ = train(*options, folder="run")
     assert_same(parameters(plain), parameters(folder))
     events = accumulator.EventAccumulator(str(folder / "tensorboard" / "optim")).Reload()
-    rows = rows_of(folder / LOSS_TABLE)
-    assert (folder / LOSS_TABLE).read_bytes() == (plain / LOSS_TABLE).read_bytes()
+    rows = rows_of(RunFolder(folder).losses)
+    assert (RunFolder(folder).losses).read_bytes() == (RunFolder(plain).losses).read_bytes()
     for tag, column in (
         ("loss/total", "total"),
         ("loss/rgb", "rgb"),
@@ -114,7 +114,7 @@ def test_a_missing_package_is_said_before_anything_is_done(
 def test_what_is_not_chosen_is_not_imported() -> None:
     code = (
         "import json, sys, occfusion.stages.loggers as l; from pathlib import Path; "
-        "l.make_logs(l.LoggerSettings(), l.Place(Path('.'), 'optim'), {}); "
+        "l.make_logs(l.LoggerSettings(), l.Place(l.RunFolder(Path('.')), 'optim'), {}); "
         "print(json.dumps([m for m in ('tensorboard', 'torch.utils.tensorboard', 'wandb') if m in sys.modules]))"
     )
     done = subprocess.run(
@@ -125,7 +125,7 @@ def test_what_is_not_chosen_is_not_imported() -> None:
 
 def test_a_trial_leaves_the_table_alone(train: Train) -> None:
     folder, _ = train("logger=tensorboard", "trainer.fast_dev_run=true")
-    assert [row["step"] for row in rows_of(folder / LOSS_TABLE)] == ["1"]
+    assert [row["step"] for row in rows_of(RunFolder(folder).losses)] == ["1"]
     assert not (folder / "tensorboard").exists()
 
 

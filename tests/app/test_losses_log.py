@@ -11,9 +11,10 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from occfusion.errors import CheckpointError, DataError
+from occfusion.files.run_folder import RunFolder
 from occfusion.stages.base import Stage
 from occfusion.stages.interruption import Interrupted, SignalGuard
-from occfusion.stages.losses_log import BATCH_ROWS, LOSS_TABLE, LossLog, LossTable
+from occfusion.stages.losses_log import BATCH_ROWS, LossLog, LossTable
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 
@@ -30,7 +31,7 @@ def test_every_step_has_its_terms_their_weighted_sum_rates_and_gaussians(train: 
         "optim.lambda_ssim=1e3", "optim.sds.lambda_pose=10", "optim.sds.lambda_can=20", "optim.sds.every=2",
         "optim.sds.where=everywhere",
     )  # fmt: skip
-    rows = rows_of(folder / LOSS_TABLE)
+    rows = rows_of(RunFolder(folder).losses)
     assert [(row["stage"], row["step"]) for row in rows] == [("optim", str(k)) for k in range(1, 7)]
     distilled = []
     for row in rows:
@@ -49,7 +50,7 @@ def test_stopped_and_killed_runs_end_with_the_table_of_an_uninterrupted_one(
 ) -> None:
     options = ["optim.steps=8", "trainer.checkpoint_every=3"]
     whole, _ = train(*options, folder="whole")
-    expected = (whole / LOSS_TABLE).read_bytes()
+    expected = (RunFolder(whole).losses).read_bytes()
     assert expected.count(b"\noptim,") == 8
     options.append(f"shared_dir={whole.with_name('apart')}")  # or the whole run's result would be taken over
     original = SignalGuard.on_train_batch_end
@@ -69,7 +70,7 @@ def test_stopped_and_killed_runs_end_with_the_table_of_an_uninterrupted_one(
             patch.setattr(SignalGuard, "on_train_batch_end", end_at(last, fault))
             with pytest.raises(error):
                 train(*options, folder="parts")
-    table = whole.with_name("parts") / LOSS_TABLE
+    table = RunFolder(whole.with_name("parts")).losses
     kept = len(rows_of(table))
     assert kept == 5  # the checkpoint is that of step 3
     with table.open("a") as file:
@@ -84,40 +85,40 @@ def test_a_run_that_takes_a_stage_over_has_its_losses(
     first, _ = train("variant=A", "optim.steps=2", folder="first")
     second, _ = train("variant=A", "optim.steps=2", "evaluation.training_stride=4", folder="second")
     assert "optim: trained before, taken from" in capsys.readouterr().out
-    assert (second / LOSS_TABLE).read_bytes() == (first / LOSS_TABLE).read_bytes()
-    assert len(rows_of(second / LOSS_TABLE)) == 2
+    assert (RunFolder(second).losses).read_bytes() == (RunFolder(first).losses).read_bytes()
+    assert len(rows_of(RunFolder(second).losses)) == 2
 
 
 def test_a_table_grows_by_rows_and_by_columns(tmp_path: Path) -> None:
-    table = LossTable(tmp_path / LOSS_TABLE)
+    table = LossTable(RunFolder(tmp_path).losses)
     table.append(
         [{"stage": "optim", "step": 1, "total": 2.0, "rgb": 0.1234567, "rate_means": 0.5, "gaussians": 7}]
     )
     table.append([{"stage": "optim", "step": 2, "total": 3.0, "gaussians": 8}])
-    before = (tmp_path / LOSS_TABLE).read_text()
+    before = (RunFolder(tmp_path).losses).read_text()
     assert before.splitlines()[1:] == ["optim,1,2,0.123457,0.5,7", "optim,2,3,,,8"]
     table.append([{"stage": "refine", "step": 1, "total": 4.0, "gen": 0.25, "gaussians": 9}])
-    assert (tmp_path / LOSS_TABLE).read_text().splitlines() == [
+    assert (RunFolder(tmp_path).losses).read_text().splitlines() == [
         "stage,step,total,rgb,gen,rate_means,gaussians",
         "optim,1,2,0.123457,,0.5,7", "optim,2,3,,,,8", "refine,1,4,,0.25,,9",
     ]  # fmt: skip
-    again = LossTable(tmp_path / LOSS_TABLE)
+    again = LossTable(RunFolder(tmp_path).losses)
     again.open(lambda row: row["stage"] != "optim" or int(row["step"]) <= 1)
     again.append([{"stage": "optim", "step": 2, "total": 5.0}])
-    assert [(r["stage"], r["step"], r["total"]) for r in rows_of(tmp_path / LOSS_TABLE)] == [
+    assert [(r["stage"], r["step"], r["total"]) for r in rows_of(RunFolder(tmp_path).losses)] == [
         ("optim", "1", "2"), ("refine", "1", "4"), ("optim", "2", "5"),
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize("content", ["stage,step,total\noptim,one,2\n", "a,b\n1,2\n"])
 def test_what_is_no_loss_table_is_refused(tmp_path: Path, content: str) -> None:
-    (tmp_path / LOSS_TABLE).write_text(content)
+    (RunFolder(tmp_path).losses).write_text(content)
     with pytest.raises(CheckpointError, match=r"losses\.csv, line 2.*move the file away"):
-        LossTable(tmp_path / LOSS_TABLE).open(lambda row: int(row["step"]) < 9)
+        LossTable(RunFolder(tmp_path).losses).open(lambda row: int(row["step"]) < 9)
 
 
 def test_a_full_disk_is_a_named_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = LossTable(tmp_path / LOSS_TABLE)
+    table = LossTable(RunFolder(tmp_path).losses)
     row = {"stage": "optim", "step": 1}
     table.append([row])
 
@@ -146,7 +147,7 @@ def test_values_are_read_in_batches(tmp_path: Path) -> None:
     trainer: Any = SimpleNamespace(
         global_step=0, optimizers=[SimpleNamespace(param_groups=[group])], loggers=[]
     )
-    log = LossLog(tmp_path / LOSS_TABLE)
+    log = LossLog(RunFolder(tmp_path).losses)
     log.on_train_start(trainer, stage)
     with _Reads() as reads:
         for step in range(1, BATCH_ROWS):
@@ -154,10 +155,10 @@ def test_values_are_read_in_batches(tmp_path: Path) -> None:
             terms = {"rgb": torch.tensor(float(step)), "mask": torch.tensor(0.5)}
             stage.keep_terms(terms, terms["rgb"] + 3 * terms["mask"])
             log.on_train_batch_end(trainer, stage)
-    assert reads.count == 0 and not (tmp_path / LOSS_TABLE).exists()
+    assert reads.count == 0 and not (RunFolder(tmp_path).losses).exists()
     trainer.global_step = BATCH_ROWS
     log.on_train_batch_end(trainer, stage)
-    rows = rows_of(tmp_path / LOSS_TABLE)
+    rows = rows_of(RunFolder(tmp_path).losses)
     assert [row["rgb"] for row in rows] == [*map(str, range(1, BATCH_ROWS)), str(BATCH_ROWS - 1)]
     assert rows[8] == {
         "stage": "optim",
@@ -168,4 +169,4 @@ def test_values_are_read_in_batches(tmp_path: Path) -> None:
         "rate_means": "0.1",
     }
     log.on_save_checkpoint(trainer, stage, {})
-    assert len(rows_of(tmp_path / LOSS_TABLE)) == BATCH_ROWS  # nothing twice
+    assert len(rows_of(RunFolder(tmp_path).losses)) == BATCH_ROWS  # nothing twice

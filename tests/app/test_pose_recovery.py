@@ -9,8 +9,8 @@ from hydra import compose, initialize_config_dir
 
 from occfusion.human import Avatar
 from occfusion.run import app
-from occfusion.run.compose import make_body, make_data
 from occfusion.run.loaded import load_run
+from occfusion.run.prepare import make_body, make_data
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.synth.scene import Scene
 

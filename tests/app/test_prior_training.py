@@ -74,7 +74,7 @@ def test_the_appearance_prior_trains_its_coarse_avatars_once(
     def fail(*_: object) -> None:
         raise AssertionError("a coarse avatar was trained again")
 
-    monkeypatch.setattr("occfusion.run.app.train_coarse", fail)
+    monkeypatch.setattr("occfusion.run.prior.train_coarse", fail)
     again = train(*options)[1]
     assert again["validation"] == pytest.approx(card["validation"], rel=1e-4), (
         "a finished run lost its figures"
@@ -103,7 +103,7 @@ def test_the_corpus_shows_what_the_refinement_asks_about(
     (scene,) = coarse_scenes(1)
     shard = np.load(folder / "corpus" / scene.scene / "planes.npy")
     recorder = Recorder()
-    monkeypatch.setattr("occfusion.run.references._make_inpainter", lambda *_: recorder)
+    monkeypatch.setattr("occfusion.run.refine._make_inpainter", lambda *_: recorder)
     how = {"kind": scene.occlusion, "share": scene.share, "fraction": scene.fraction}
     train(
         *small_scene(tmp_path), "variant=E", "stage=refine", "refine.steps=1", "dataset.cameras=2",

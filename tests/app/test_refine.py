@@ -41,7 +41,7 @@ class Green(Inpainter):
 @pytest.fixture
 def green(monkeypatch: pytest.MonkeyPatch) -> Green:
     made = Green()
-    monkeypatch.setattr("occfusion.run.references.make_inpainter", lambda *_: made)
+    monkeypatch.setattr("occfusion.run.refine.make_inpainter", lambda *_: made)
     return made
 
 
@@ -197,8 +197,8 @@ def test_an_unoccluded_scene_is_neither_completed_nor_inpainted(
         raise AssertionError("a prior was loaded although nothing is hidden")
 
     for place in (
-        "masks.make_mask_prior", "references.make_inpainter", "stages.make_score_prior",
-        "objects.check_inpainter", "objects.check_score_prior",
+        "init.make_mask_prior", "refine.make_inpainter", "optim.make_score_prior",
+        "prepare.check_inpainter", "prepare.check_score_prior",
     ):  # fmt: skip
         monkeypatch.setattr(f"occfusion.run.{place}", fail)
     folder, metrics = train(*SHORT, "refine.references.source=prior", "dataset.occlusion.kind=none")

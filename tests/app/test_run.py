@@ -235,7 +235,7 @@ def test_a_scene_without_occlusion_asks_no_prior(train: Train, monkeypatch: pyte
     def fail(*_: object) -> None:
         raise AssertionError("a prior was made although nothing is hidden")
 
-    monkeypatch.setattr("occfusion.run.masks.make_mask_prior", fail)
+    monkeypatch.setattr("occfusion.run.init.make_mask_prior", fail)
     folder, _ = train("variant=B", "optim.steps=2", "dataset.occlusion.kind=none")
     plan = json.loads((folder / "plan.json").read_text())
     decision = next(d for d in plan["decisions"] if d["part"] == "complete masks")

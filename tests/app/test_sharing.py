@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
-from occfusion.run import masks as init_run
-from occfusion.run import stages as avatar_run
-from occfusion.run.sharing import offer, shared_folder, take
+from occfusion.files.run_folder import RunFolder
+from occfusion.files.sharing import offer, shared_folder, take
+from occfusion.run import training
+from occfusion.stages import framewise
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 MASKS_ALONE = ("stage=init", "init.source=truth")
@@ -20,13 +21,13 @@ MASKS_ALONE = ("stage=init", "init.source=truth")
 def predictions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The numbers of frames that were really completed, one entry a run that completed any."""
     made: list[int] = []
-    original = init_run.predict_frames
+    original = framewise.predict_frames
 
     def count(stage: Any, read: Any, wanted: Any, **options: Any) -> int | None:
         made.append(len(wanted))
         return original(stage, read, wanted, **options)
 
-    monkeypatch.setattr(init_run, "predict_frames", count)
+    monkeypatch.setattr(framewise, "predict_frames", count)
     return made
 
 
@@ -71,10 +72,13 @@ def test_damaged_shared_masks_are_made_again(train: Train, predictions: list[int
 
 
 def test_the_shared_folder_can_be_chosen(tmp_path: Path) -> None:
-    a = shared_folder(tmp_path / "run", None, "init", {"data": "x", "k": 1})
+    a = shared_folder(RunFolder(tmp_path / "run"), None, "init", {"data": "x", "k": 1})
     assert a.parent == tmp_path / ".shared" / "init"
-    assert a.name == shared_folder(tmp_path / "run", str(tmp_path), "init", {"k": 1, "data": "x"}).name
-    assert a.name != shared_folder(tmp_path / "run", None, "init", {"data": "y", "k": 1}).name
+    assert (
+        a.name
+        == shared_folder(RunFolder(tmp_path / "run"), str(tmp_path), "init", {"k": 1, "data": "x"}).name
+    )
+    assert a.name != shared_folder(RunFolder(tmp_path / "run"), None, "init", {"data": "y", "k": 1}).name
 
 
 def test_without_links_files_are_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,13 +119,13 @@ def test_the_optimisation_of_d_serves_e(train: Train, monkeypatch: pytest.Monkey
     )  # weights, light and Gaussians at the start alike, whatever they are
     d, first = train("variant=D", *common, folder="d")
     trained: list[str] = []
-    original = avatar_run._train_stage
+    original = training.fit
 
-    def count(run_: Any, name: str) -> None:
-        trained.append(name)
-        original(run_, name)
+    def count(stage: Any, *rest: Any, **options: Any) -> int:
+        trained.append(stage.name)
+        return original(stage, *rest, **options)
 
-    monkeypatch.setattr(avatar_run, "_train_stage", count)
+    monkeypatch.setattr(training, "fit", count)
     e, second = train("variant=E", *common, folder="e")
     assert trained == ["refine"]
     assert (e / "optim" / "avatar.safetensors").read_bytes() == (

@@ -14,8 +14,8 @@ from safetensors.torch import load_file
 
 from occfusion.data.sampling import spread
 from occfusion.human.rendering import Renderer
-from occfusion.run.compose import make_body, make_data
 from occfusion.run.loaded import load_run
+from occfusion.run.prepare import make_body, make_data
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 STILL = ("optim.steps=1", "optim.rates.sh0=0", "optim.key_light=false", "optim.gaussians=0", "stage=optim")

@@ -19,7 +19,7 @@ from occfusion.data.silhouette import who_can_hide
 from occfusion.errors import ConfigError, DataError
 from occfusion.evaluation.evaluate import evaluate_image
 from occfusion.observation.frames import observe_frames
-from occfusion.run.masks import _make_prior
+from occfusion.run.init import make_prior
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.types import Rendering
 
@@ -146,8 +146,8 @@ def test_true_masks_are_not_claimed_where_others_hide(crowd, source):
             source = "truth"
 
     with pytest.raises(ConfigError, match=r"does not know what is hidden in image_0001"):
-        _make_prior(Settings, module(crowd, source), torch.device("cpu"))
-    prior = _make_prior(Settings, module(crowd, source, train_frames=[1, 3, 1]), torch.device("cpu"))
+        make_prior(Settings, module(crowd, source), torch.device("cpu"))
+    prior = make_prior(Settings, module(crowd, source, train_frames=[1, 3, 1]), torch.device("cpu"))
     assert prior.describe() == {"prior": "truth"}
 
 

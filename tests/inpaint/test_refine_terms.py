@@ -13,12 +13,13 @@ from torch import Tensor
 
 from made_up_partial import made_up_partial
 from occfusion.files.atomic import write_png
+from occfusion.files.run_folder import RunFolder
 from occfusion.human import embedded_body
 from occfusion.human.avatar import Avatar
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.partial import KNOWN
 from occfusion.settings.stages import HiddenSettings, ReferenceSettings, RefineSettings
-from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
+from occfusion.stages.references import References
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.targets import Masks, UncertainMasks
 from occfusion.types import Frame, Pose, Rendering
@@ -55,10 +56,10 @@ def references(tmp_path: Path) -> References:
     region = mask_of(PAINTED).numpy()
     picture = np.zeros((SIZE, SIZE, 3), np.uint8)
     picture[SEEN], picture[PAINTED] = (204, 26, 26), (0, 255, 0)
-    (tmp_path / REGIONS).mkdir()
-    write_png(picture_path(tmp_path, 7), picture)
-    write_png(region_path_of(tmp_path, 7), np.where(region, 255, 0).astype(np.uint8))
-    return References(tmp_path, frozenset({7}))
+    folder = RunFolder(tmp_path).inpainted
+    write_png(folder.picture(7), picture)
+    write_png(folder.second_picture(7), np.where(region, 255, 0).astype(np.uint8))
+    return References(folder, frozenset({7}))
 
 
 def stage_of(

@@ -10,7 +10,7 @@ from app.test_command_line import ROOT, run
 from occfusion.__main__ import VERBS, main
 from occfusion.cli import train
 from occfusion.errors import ConfigError
-from occfusion.run.folder import describe_environment
+from occfusion.run.environment import describe_environment
 
 SCRIPT, VERB = (str(ROOT / "train.py"),), ("-m", "occfusion", "train")
 

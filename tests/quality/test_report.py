@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from occfusion.errors import CheckpointError
+from occfusion.files.run_folder import RunFolder
+from occfusion.files.table import read_table
 from occfusion.report.losses import _smoothed, plot_losses
 from occfusion.report.page import markdown_table, plot_error_vs_time, write_report
 
@@ -43,7 +45,7 @@ def run_dir(tmp_path):
 
 
 def test_report_holds_figures_under_their_real_names(run_dir):
-    text = write_report(run_dir).read_text()
+    text = write_report(RunFolder(run_dir)).read_text()
     assert "ST-LPIPS (VGG) x1000" in text
     assert not re.search(r"(?<!ST-)LPIPS", text)
     row = next(line for line in text.splitlines() if line.startswith("| full"))
@@ -56,14 +58,14 @@ def test_report_holds_figures_under_their_real_names(run_dir):
 
 
 def test_links_are_relative_and_lead_to_files(run_dir):
-    text = write_report(run_dir).read_text()
+    text = write_report(RunFolder(run_dir)).read_text()
     links = re.findall(r"!\[.*?\]\((.*?)\)", text)
     assert sorted(links) == ["error_vs_time.png", "pictures/held_out.png"]
     assert all((run_dir / link).is_file() for link in links)
 
 
 def test_curve_is_drawn(run_dir, tmp_path):
-    plot_error_vs_time(run_dir / "error_vs_time.csv", tmp_path / "curve.png", "ST-LPIPS (VGG)")
+    plot_error_vs_time(read_table(run_dir / "error_vs_time.csv"), tmp_path / "curve.png", "ST-LPIPS (VGG)")
     picture = cv2.imread(str(tmp_path / "curve.png"))
     # three panels: the perceptual column is empty
     assert picture.shape[1] > 2.5 * picture.shape[0]
@@ -76,7 +78,7 @@ def test_losses_are_drawn_stage_after_stage(run_dir):
     (run_dir / "losses.csv").write_text(
         "\n".join(["stage,step,total,rgb,lpips,rate_means,gaussians", *rows]) + "\n"
     )
-    text = write_report(run_dir).read_text()
+    text = write_report(RunFolder(run_dir)).read_text()
     assert "![losses](losses.png)" in text and "mean of 50 steps" in text
     picture = cv2.imread(str(run_dir / "losses.png"))
     assert picture.shape[1] > 3 * picture.shape[0]  # a row of three panels
@@ -91,22 +93,22 @@ def test_losses_are_drawn_stage_after_stage(run_dir):
 def test_a_loss_table_without_rows_is_not_drawn(tmp_path):
     (tmp_path / "losses.csv").write_text("stage,step,total,rgb,gaussians\n")
     for table in ("losses.csv", "none.csv"):
-        assert not plot_losses(tmp_path / table, tmp_path / "losses.png")
+        assert not plot_losses(read_table(tmp_path / table), tmp_path / "losses.png")
     assert not (tmp_path / "losses.png").exists()
 
 
 def test_a_run_without_curve_plan_or_pictures(tmp_path):
     (tmp_path / "metrics.json").write_text(json.dumps(METRICS | {"perceptual_metric": None}))
-    text = write_report(tmp_path).read_text()
+    text = write_report(RunFolder(tmp_path)).read_text()
     assert "![" not in text and "perceptual x1000" in text
 
 
 def test_a_folder_that_is_no_run(tmp_path):
     with pytest.raises(CheckpointError, match=r"metrics\.json"):
-        write_report(tmp_path)
+        write_report(RunFolder(tmp_path))
     (tmp_path / "metrics.json").write_text("{")
     with pytest.raises(CheckpointError, match="not readable JSON"):
-        write_report(tmp_path)
+        write_report(RunFolder(tmp_path))
 
 
 def test_markdown_table_escapes_bars():

@@ -19,7 +19,7 @@ from occfusion.__main__ import main
 from occfusion.errors import DataError
 from occfusion.files.bodyfile import load_body_arrays
 from occfusion.human import load_body
-from occfusion.run.compose import make_body
+from occfusion.run.prepare import make_body
 from occfusion.settings.schema import BodySettings
 from upstream import chumpy_objects as chumpy
 from upstream import smpl_files as files

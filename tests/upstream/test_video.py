@@ -16,7 +16,7 @@ from occfusion.data import VideoDataModule
 from occfusion.data.video.pose_tracks import open_tracks
 from occfusion.data.video.video_protocols import INSTANT_AVATAR
 from occfusion.errors import ConfigError, DataError
-from occfusion.run.compose import make_data
+from occfusion.run.prepare import make_data
 from occfusion.settings.schema import load_settings
 from occfusion.synth import SceneSpec, write_scene
 from upstream.instantavatar import (

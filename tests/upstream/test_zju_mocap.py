@@ -18,7 +18,7 @@ from occfusion.errors import ConfigError, DataError
 from occfusion.files.images import read_mask
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.human.unblended import without_pose_blend_shapes
-from occfusion.run.compose import make_body
+from occfusion.run.prepare import make_body
 from occfusion.settings.schema import BodySettings
 from occfusion.synth import SceneSpec, write_scene
 from upstream import zju_mocap as upstream

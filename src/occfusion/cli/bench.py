@@ -18,7 +18,7 @@ from occfusion.bench.plan import FULL, PARTS, QUICK, BenchPlan
 from occfusion.bench.publish import tables, write_csv
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_bytes
-from occfusion.run.folder import describe_environment
+from occfusion.run.environment import describe_environment
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

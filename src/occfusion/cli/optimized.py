@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,11 @@ from typing import Any
 from occfusion.cli.multirun import JobRecord
 from occfusion.errors import ConfigError
 from occfusion.fields import check_choice
+from occfusion.files.run_folder import FIGURES, REGIONS, STAGES, RunFolder
 
 KNOWN = {
-    "regions": {
-        region: dict.fromkeys(("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm", "spill", "holes"))
-        for region in ("full", "box", "visible", "hidden", "seen_many", "seen_one", "unseen")
-    },
-    "train_seconds": dict.fromkeys(("init", "optim", "refine", "total")),
+    "regions": {region: dict.fromkeys(FIGURES) for region in REGIONS},
+    "train_seconds": dict.fromkeys((*STAGES, "total")),
     "gaussians": None,
     "peak_memory_mb": None,
 }
@@ -36,7 +33,7 @@ def check_optimized_metric(name: str) -> None:
 
 def read_metric(folder: Path, name: str) -> float | None:
     """Returns a figure of a run's `metrics.json`; None where it could not be computed."""
-    value = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    value: Any = RunFolder(folder).read_metrics()
     for key in name.split("."):
         value = value.get(key)
         if value is None:
@@ -58,10 +55,10 @@ def answer(job: JobRecord, name: str, *, is_asked: bool) -> float | None:
     value = None if job.folder is None else read_metric(Path(job.folder), name)
     if value is not None or not is_asked:
         return value
-    why = job.error or (
-        "this job measures nothing" if job.folder is None else f"{job.folder}/metrics.json has null there"
-    )
-    raise ConfigError(f"{job.overrides}: no {name} for the sweeper: {why}; see optimized_metric")
+    why = "this job measures nothing"
+    if job.folder is not None:
+        why = f"{RunFolder(Path(job.folder)).metrics} has null there"
+    raise ConfigError(f"{job.overrides}: no {name} for the sweeper: {job.error or why}; see optimized_metric")
 
 
 def is_asked(sweeper: Mapping[str, Any]) -> bool:

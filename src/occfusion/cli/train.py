@@ -173,15 +173,16 @@ def _exit_code(error: OccfusionError) -> int:
 def _finished_before(config: DictConfig, chosen: bool) -> Path | None:
     """Returns the folder of the same run where it is finished; prints its figures."""
     from occfusion.report.tables import print_summary
-    from occfusion.run.finished import find_finished
+    from occfusion.run.folder import find_finished
     from occfusion.settings.schema import load_settings
 
     finished = find_finished(load_settings(config), chosen_by_user=chosen)
     if finished is None:
         return None
-    print(f"finished before, taken from {finished.folder}")
-    print_summary(finished.folder, finished.metrics)
-    return finished.folder
+    folder, figures = finished
+    print(f"finished before, taken from {folder}")
+    print_summary(folder, figures)
+    return folder
 
 
 def _run(config: DictConfig, chosen: bool) -> Path | None:

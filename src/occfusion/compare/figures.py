@@ -7,10 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from occfusion.compare.methods import methods
-from occfusion.compare.reading import MEASURED, CurvePoint, RunRecord, variant_rank
+from occfusion.compare.reading import CurvePoint, RunRecord, variant_rank
+from occfusion.files.run_folder import FIGURES, REGIONS
 
-REGIONS = ("full", "box", "visible", "hidden", "seen_many", "seen_one", "unseen")
-AT_THE_END = (*MEASURED, "depth_error_mm", "spill", "holes")
 COUNTED_BY = {"lpips": "lpips_images", "depth_error_mm": "depth_images"}
 """Figures that fewer images have than the region, and what says how many."""
 TARGET_VARIANT = "A"
@@ -71,7 +70,7 @@ def quantities(run: RunRecord, target: float | None) -> dict[str, float | None]:
     result: dict[str, float | None] = {}
     for region in REGIONS:
         values = run.metrics["regions"].get(region) or {}
-        result |= {f"{region}.{metric}": values.get(metric) for metric in AT_THE_END}
+        result |= {f"{region}.{metric}": values.get(metric) for metric in FIGURES}
     result["seconds"] = run.metrics["train_seconds"].get("total")
     result["memory_mb"] = run.metrics.get("peak_memory_mb")
     result["gaussians"] = run.metrics.get("gaussians")
@@ -179,7 +178,7 @@ def _over_images(runs: Sequence[RunRecord]) -> dict[str, Statistic]:
     """Returns the mean over all images of all runs, from each run's means and numbers of images."""
     result = {}
     for region in REGIONS:
-        for metric in AT_THE_END:
+        for metric in FIGURES:
             total, count = 0.0, 0
             for run in runs:
                 values = run.metrics["regions"].get(region) or {}

@@ -13,10 +13,10 @@ from occfusion.compare.reading import RunRecord
 from occfusion.errors import DataError
 from occfusion.evaluation.pictures import Image
 from occfusion.files.images import read_rgb
+from occfusion.files.run_folder import RunFolder
 
 MARGIN = 8
 """Pixels kept around whatever is not black in any picture of a view."""
-PICTURES = "held_out"
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def picture_grid(runs: Sequence[RunRecord], names: Sequence[str]) -> tuple[list[
         if any(name == other for other, _ in shown):
             continue
         try:
-            shown.append((name, _parts(run.folder / "pictures")))
+            shown.append((name, _parts(RunFolder(run.folder).held_out_picture)))
         except DataError as error:
             remarks.append(f"{run.folder}: not in the pictures: {error}")
     if not shown:
@@ -94,18 +94,18 @@ def _span(lit: np.ndarray) -> slice:
     return slice(max(int(where[0]) - MARGIN, 0), int(where[-1]) + 1 + MARGIN)
 
 
-def _parts(folder: Path) -> dict[str, dict[str, Image]]:
+def _parts(path: Path) -> dict[str, dict[str, Image]]:
     """Returns the parts of a run's comparison picture by view.
 
     Raises:
         DataError: no such picture, no description beside it, or they do not fit.
     """
-    description = folder / f"{PICTURES}.json"
+    description = path.with_suffix(".json")
     if not description.is_file():
         raise DataError(
             f"{description} is missing; evaluate again: the training command with evaluation.again=true"
         )
-    picture = read_rgb(folder / f"{PICTURES}.png")
+    picture = read_rgb(path)
     try:
         views = json.loads(description.read_text(encoding="utf-8"))["views"]
         result = {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,15 +14,15 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from occfusion.errors import CheckpointError
+from occfusion.files.run_folder import METRICS, STAGES, RunFolder
+from occfusion.files.table import read_table
 
-STAGE_ORDER = ("init", "optim", "refine")
 METRIC_KEYS = ("dataset", "scene", "variant", "images", "regions", "perceptual_metric", "train_seconds")
-MEASURED = ("psnr", "ssim", "lpips", "mask_iou")
 
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """One row of `error_vs_time.csv`.
+    """One row of an error curve.
 
     Attributes:
         seconds: training time since the start of the run, earlier stages included.
@@ -40,10 +39,10 @@ class RunRecord:
 
     Attributes:
         folder: the run folder.
-        config: the resolved settings, `config.yaml`.
-        metrics: the content of `metrics.json`.
+        config: the resolved settings.
+        metrics: the content of its `metrics.json`.
         curve: error against training time, in order of time; empty where none was measured.
-        decisions: what `plan.json` says of each part: `part`, `used`, `reason`.
+        decisions: what its plan says of each part: `part`, `used`, `reason`.
     """
 
     folder: Path
@@ -104,7 +103,8 @@ def find_runs(paths: Iterable[Path]) -> list[Path]:
     """
     found: dict[Path, None] = {}
     for path in paths:
-        inside = [] if (path / "config.yaml").is_file() else sorted(path.glob("**/config.yaml"))
+        config = RunFolder(path).config
+        inside = [] if config.is_file() else sorted(path.glob(f"**/{config.name}"))
         whole = [file.parent for file in inside if not _is_trial(file)]
         for folder in whole or [path]:
             found[folder] = None
@@ -137,24 +137,22 @@ def read_run(folder: Path) -> RunRecord:
     Raises:
         CheckpointError: no run folder, an unfinished one, or a damaged file; says which.
     """
-    if not (folder / "config.yaml").is_file():
-        raise CheckpointError(f"{folder} is not a run folder: config.yaml is missing")
-    if not (folder / "metrics.json").is_file():
+    own = RunFolder(folder)
+    own.check_is_run()
+    if not own.metrics.is_file():
         raise CheckpointError(
-            f"{folder} is unfinished: metrics.json is missing; the same training command continues it"
+            f"{folder} is unfinished: {own.metrics.name} is missing; the same training command continues it"
         )
-    config = _config(folder / "config.yaml")
-    metrics = _mapping(folder / "metrics.json", METRIC_KEYS)
+    config = _config(own.config)
+    metrics = _mapping(own.metrics, METRIC_KEYS)
     if not isinstance(metrics["regions"], dict) or not isinstance(metrics["train_seconds"], dict):
-        raise _damaged(folder / "metrics.json", "regions or train_seconds is no table")
-    decisions = _mapping(folder / "plan.json", ("decisions",))["decisions"]
+        raise _damaged(own.metrics, "regions or train_seconds is no table")
+    decisions = _mapping(own.plan, ("decisions",))["decisions"]
     try:
         plan = [{key: d[key] for key in ("part", "used", "reason")} for d in decisions]
     except (TypeError, KeyError) as error:
-        raise _damaged(folder / "plan.json", f"a decision lacks {error}") from error
-    return RunRecord(
-        folder, config, metrics, _curve(folder / "error_vs_time.csv", metrics["train_seconds"]), plan
-    )
+        raise _damaged(own.plan, f"a decision lacks {error}") from error
+    return RunRecord(folder, config, metrics, _curve(own.curve, metrics["train_seconds"]), plan)
 
 
 def variant_rank(name: str) -> tuple[int, str]:
@@ -184,19 +182,14 @@ def _mapping(path: Path, keys: Sequence[str]) -> dict[str, Any]:
 
 
 def _curve(path: Path, train_seconds: Mapping[str, Any]) -> list[CurvePoint]:
-    if not path.is_file():
-        return []
     points = []
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                seconds = _before(row["stage"], train_seconds) + float(row["train_seconds"])
-                values = {key: float(row[key]) if row[key] else None for key in MEASURED}
-                if not math.isfinite(seconds) or any(
-                    v is not None and not math.isfinite(v) for v in values.values()
-                ):
-                    raise ValueError("a figure is not finite")
-                points.append(CurvePoint(seconds, values))
+        for row in read_table(path):
+            seconds = _before(row["stage"], train_seconds) + float(row["train_seconds"])
+            values = {key: float(row[key]) if row[key] else None for key in METRICS}
+            if not all(math.isfinite(v) for v in (seconds, *values.values()) if v is not None):
+                raise ValueError("a figure is not finite")
+            points.append(CurvePoint(seconds, values))
     except (KeyError, TypeError, ValueError, OSError) as error:
         raise _damaged(path, str(error)) from error
     return sorted(points, key=lambda point: point.seconds)
@@ -204,9 +197,9 @@ def _curve(path: Path, train_seconds: Mapping[str, Any]) -> list[CurvePoint]:
 
 def _before(stage: str, train_seconds: Mapping[str, Any]) -> float:
     """Returns the training seconds of the stages before `stage`."""
-    if stage not in STAGE_ORDER:
+    if stage not in STAGES:
         raise ValueError(f"unknown stage {stage!r}")
-    return sum(float(train_seconds.get(s) or 0.0) for s in STAGE_ORDER[: STAGE_ORDER.index(stage)])
+    return sum(float(train_seconds.get(s) or 0.0) for s in STAGES[: STAGES.index(stage)])
 
 
 def _damaged(path: Path, why: str) -> CheckpointError:

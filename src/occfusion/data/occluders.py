@@ -18,10 +18,9 @@ from occfusion.errors import DataError
 from occfusion.files.atomic import write_json, write_png
 from occfusion.files.images import read_mask
 from occfusion.files.jsonfile import load_json
+from occfusion.files.run_folder import RunFolder
 
 MANIFEST = "manifest.json"
-FOLDER = "occlusion"
-"""Name of the folder inside a run's."""
 
 _MASK_NAME = re.compile(r"\d{6,12}\.png\Z")
 
@@ -92,7 +91,8 @@ def read_occlusion(folder: Path, frames: Sequence[int], size: tuple[int, int]) -
     content = load_json(path)
     stored = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(stored, dict):
-        raise DataError(f"{path}: has no table 'frames'; name the folder {FOLDER!r} of a run.")
+        name = RunFolder(folder).occlusion.name
+        raise DataError(f"{path}: has no table 'frames'; name the folder {name!r} of a run.")
     if content.get("size") != list(size):
         raise DataError(
             f"{path}: belongs to pictures of size {content.get('size')}, but these have {list(size)}; what a run "
@@ -183,8 +183,9 @@ def from_files(folder: Path, silhouettes: Sequence[Silhouette]) -> list[Silhouet
     """
     if not folder.is_dir():
         raise DataError(f"{folder}: no such folder; dataset.occlusion.folder must name one with masks.")
-    if is_stored(folder / FOLDER):
-        raise DataError(f"{folder}: is a run; name its folder {folder / FOLDER} to hide what it hid.")
+    of_run = RunFolder(folder).occlusion
+    if is_stored(of_run):
+        raise DataError(f"{folder}: is a run; name its folder {of_run} to hide what it hid.")
     files = list(pictures_in(folder).values())
     kept: dict[Path, Silhouette] = {}
     hidden: list[Silhouette | None] = []

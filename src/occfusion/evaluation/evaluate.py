@@ -15,6 +15,7 @@ from torch import Tensor
 
 from occfusion.cpu.workers import spread
 from occfusion.errors import ConfigError
+from occfusion.files.run_folder import FIGURES, REGIONS
 from occfusion.files.table import write_table
 from occfusion.geometry.coverage import CLASSES
 from occfusion.perceptual import PerceptualMetric
@@ -31,9 +32,6 @@ from occfusion.quality.metrics import (
     ssim_over_black,
 )
 from occfusion.types import Box, Frame, Rendering
-
-METRICS = ("psnr", "ssim", "lpips", "mask_iou", "depth_error_mm", "spill", "holes")
-REGIONS = ("full", "box", "visible", "hidden", *CLASSES)
 
 Classes = Callable[[Frame], NDArray[np.int8] | None]
 """Gives the class (`geometry.coverage`) of the place that each pixel of a person shows; None where it is not known."""
@@ -261,7 +259,7 @@ def summarise(rows: Iterable[ImageRow]) -> dict[str, dict[str, float | int | Non
 
 def _mean(rows: list[ImageRow]) -> dict[str, float | int | None]:
     result: dict[str, float | int | None] = {}
-    for metric in METRICS:
+    for metric in FIGURES:
         values = [value for row in rows if (value := getattr(row, metric)) is not None]
         result[metric] = sum(values) / len(values) if values else None
     result["images"] = len(rows)

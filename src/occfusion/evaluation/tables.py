@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from occfusion.evaluation.evaluate import METRICS, ImageRow, summarise
+from occfusion.evaluation.evaluate import ImageRow, summarise
+from occfusion.files.run_folder import FIGURES
 from occfusion.files.table import write_table
 
 
@@ -28,4 +29,4 @@ def write_grouped_csv(path: Path | str, rows: Sequence[ImageRow], by: str) -> No
         lines += [{by: value, "region": region, **mean} for region, mean in means.items() if mean["images"]]
     for line in lines:
         del line["psnr_capped"]
-    write_table(path, [by, "region", "images", "lpips_images", "depth_images", *METRICS], lines)
+    write_table(path, [by, "region", "images", "lpips_images", "depth_images", *FIGURES], lines)

@@ -1,4 +1,4 @@
-"""Writing tables as CSV."""
+"""Tables as CSV."""
 
 from __future__ import annotations
 
@@ -14,6 +14,14 @@ from occfusion.files.atomic import write_bytes
 def write_table(path: Path | str, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
     """Writes a CSV whole or not at all; values as `table_bytes` has them."""
     write_bytes(path, table_bytes(columns, rows))
+
+
+def read_table(path: Path | str) -> list[dict[str, str]]:
+    """Returns the rows of a CSV, all values as text; none where there is no such file."""
+    if not Path(path).is_file():
+        return []
+    with Path(path).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 def table_bytes(columns: Sequence[str], rows: Iterable[Mapping[str, Any]], *, header: bool = True) -> bytes:

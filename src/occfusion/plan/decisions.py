@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occfusion.data.scene_registration import SceneRegistration
+from occfusion.files.run_folder import STAGES
 from occfusion.observation.evidence import FITTING, HIDDEN_SHARE
 from occfusion.observation.frames import ObservedFrame, misfit_of, poses_fit
 from occfusion.observation.key_light import KeyLight
-from occfusion.settings.schema import STAGES, Settings, stages_to_run
+from occfusion.settings.schema import Settings, stages_to_run
 from occfusion.settings.stages import AvatarSettings, HiddenSettings
 from occfusion.stages.avatar import BOX_PADDING
 

@@ -1,26 +1,24 @@
-"""The picture of `losses.csv`."""
+"""The picture of the table of losses."""
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from occfusion.files.atomic import write_bytes
 
-LOSSES_NAME = "losses"
 NOT_LOSSES = ("stage", "step", "gaussians")
 SMOOTHED = 50
 """Steps that a point of a loss curve is the mean of: each step sees another frame."""
 PANELS_A_ROW = 3
 
 
-def plot_losses(table: Path | str, picture: Path | str) -> bool:
-    """Draws `losses.csv`: a panel a term and one for the weighted sum, a line a stage, over the steps of all stages.
+def plot_losses(rows: Sequence[Mapping[str, str]], picture: Path | str) -> bool:
+    """Draws the losses: a panel a term and one for the weighted sum, a line a stage, over the steps of all stages.
 
     Args:
-        table: the CSV file, which may be missing.
+        rows: of the table.
         picture: the PNG to write.
 
     Returns:
@@ -29,10 +27,6 @@ def plot_losses(table: Path | str, picture: Path | str) -> bool:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    if not Path(table).is_file():
-        return False
-    with Path(table).open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
     terms = (
         [name for name in rows[0] if name not in NOT_LOSSES and not name.startswith("rate_")] if rows else []
     )

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import io
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_bytes
-from occfusion.report.losses import LOSSES_NAME, SMOOTHED, plot_losses
-from occfusion.report.tables import METRICS, figure, figures_known, heading, run_title
+from occfusion.files.run_folder import METRICS, RunFolder, read_json
+from occfusion.files.table import read_table
+from occfusion.report.losses import SMOOTHED, plot_losses
+from occfusion.report.tables import figure, figures_known, heading, run_title
 
 REGION_NOTES = {
     "full": "held-out cameras, whole frame over black",
@@ -23,45 +22,47 @@ REGION_NOTES = {
     "seen_one": "held-out cameras, where it saw the body from one direction",
     "unseen": "held-out cameras, where it never saw the body",
 }
-CURVE_NAME = "error_vs_time"
 
 
-def write_report(run_dir: Path | str) -> Path:
-    """Writes `report.md`, `error_vs_time.png` and `losses.png` where there are curves; returns the report's path.
+def write_report(folder: RunFolder) -> Path:
+    """Writes the report of a run, with pictures of its error curve and losses where it has them; returns its path.
 
     Raises:
-        CheckpointError: the folder has no readable `metrics.json`, which the end of a run writes.
+        CheckpointError: the folder has no readable figures, which the end of a run writes.
     """
-    folder = Path(run_dir)
-    metrics = _read_json(folder / "metrics.json")
-    plan = _read_json(folder / "plan.json") if (folder / "plan.json").is_file() else None
-    environment = _read_json(folder / "environment.json") if (folder / "environment.json").is_file() else None
-    sections = [_head(metrics), _figures(metrics)]
-    curve = _read_rows(folder / f"{CURVE_NAME}.csv")
+    metrics, curve, losses = folder.read_metrics(), read_table(folder.curve), read_table(folder.losses)
+    plan = read_json(folder.plan) if folder.plan.is_file() else None
+    environment = read_json(folder.environment) if folder.environment.is_file() else None
+    sections = [_head(metrics), _figures(metrics, folder)]
     if curve:
-        name = metrics["perceptual_metric"]
-        plot_error_vs_time(folder / f"{CURVE_NAME}.csv", folder / f"{CURVE_NAME}.png", name)
-        sections.append(_curve(curve, name))
-    if plot_losses(folder / f"{LOSSES_NAME}.csv", folder / f"{LOSSES_NAME}.png"):
-        sections.append(_losses())
-    sections += [_pictures(folder), _plan(plan), _environment(environment)]
-    path = folder / "report.md"
-    write_bytes(path, ("\n\n".join(s for s in sections if s) + "\n").encode())
-    return path
+        name, picture = metrics["perceptual_metric"], folder.curve.with_suffix(".png")
+        plot_error_vs_time(curve, picture, name)
+        sections.append(_curve(curve, name, picture.name))
+    picture = folder.losses.with_suffix(".png")
+    if plot_losses(losses, picture):
+        sections.append(_losses(folder.losses.name, picture.name))
+    sections.append(_pictures(folder.pictures))
+    if plan is not None:
+        sections.append(_plan(plan))
+    if environment is not None:
+        sections.append(_environment(environment))
+    write_bytes(folder.report, ("\n\n".join(s for s in sections if s) + "\n").encode())
+    return folder.report
 
 
-def plot_error_vs_time(table: Path | str, picture: Path | str, perceptual_metric: str | None = None) -> None:
-    """Draws `error_vs_time.csv`: one panel a metric, one line a stage, over training seconds.
+def plot_error_vs_time(
+    rows: Sequence[Mapping[str, str]], picture: Path | str, perceptual_metric: str | None = None
+) -> None:
+    """Draws an error curve: one panel a metric, one line a stage, over training seconds.
 
     Args:
-        table: the CSV file.
+        rows: of its table.
         picture: the PNG to write.
         perceptual_metric: the name of what the `lpips` column holds.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    rows = _read_rows(Path(table))
     shown = [m for m in METRICS if any(row[m] for row in rows)]
     drawing = Figure(figsize=(3.6 * max(len(shown), 1), 3.0), layout="constrained")
     FigureCanvasAgg(drawing)
@@ -103,7 +104,7 @@ def _head(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def _figures(metrics: Mapping[str, Any]) -> str:
+def _figures(metrics: Mapping[str, Any], folder: RunFolder) -> str:
     name = metrics["perceptual_metric"]
     rows, capped, shown = [], 0, figures_known(metrics)
     for region, values in metrics["regions"].items():
@@ -114,19 +115,19 @@ def _figures(metrics: Mapping[str, Any]) -> str:
         rows.append([f"{region}: {note}", "-" if images is None else str(images), *cells])
     table = markdown_table(["region", "images", *(heading(metric, name) for metric in shown)], rows)
     notes = [
-        "A dash is a figure that could not be computed. Every image counts the same; see `per_image.csv`."
+        f"A dash is a figure that could not be computed. Every image counts the same; see `{folder.per_image.name}`."
     ]
     if metrics.get("camera_gain", "none") != "none":
         notes.append(
             "Colours of each held-out camera are multiplied by a gain a channel, fitted to its own pictures "
-            "(`camera_gains` in `metrics.json`)."
+            f"(`camera_gains` in `{folder.metrics.name}`)."
         )
     if capped:
         notes.append(f"{capped} images reached the cap of the PSNR, 100 dB.")
     return f"## Figures\n\n{table}\n\n{' '.join(notes)}"
 
 
-def _curve(rows: Sequence[Mapping[str, str]], name: str | None) -> str:
+def _curve(rows: Sequence[Mapping[str, str]], name: str | None, picture: str) -> str:
     header = ["stage", "step", "seconds", *(heading(metric, name) for metric in METRICS), "Gaussians"]
     body = []
     for row in rows:
@@ -137,33 +138,31 @@ def _curve(rows: Sequence[Mapping[str, str]], name: str | None) -> str:
     return (
         "## Error against training time\n\nOn a fixed handful of held-out images; the clock stands "
         "still while they are measured.\n\n"
-        f"![error against time]({CURVE_NAME}.png)\n\n{markdown_table(header, body)}"
+        f"![error against time]({picture})\n\n{markdown_table(header, body)}"
     )
 
 
-def _losses() -> str:
+def _losses(table: str, picture: str) -> str:
     return (
-        f"## Losses\n\nEach point is a mean of {SMOOTHED} steps; every step is in `{LOSSES_NAME}.csv`.\n\n"
-        f"![losses]({LOSSES_NAME}.png)"
+        f"## Losses\n\nEach point is a mean of {SMOOTHED} steps; every step is in `{table}`.\n\n"
+        f"![losses]({picture})"
     )
 
 
 def _pictures(folder: Path) -> str:
-    files = sorted((folder / "pictures").glob("*.png"))
-    links = [f"### {file.stem.replace('_', ' ')}\n\n![{file.stem}](pictures/{file.name})" for file in files]
+    files = sorted(folder.glob("*.png"))
+    links = [
+        f"### {file.stem.replace('_', ' ')}\n\n![{file.stem}]({folder.name}/{file.name})" for file in files
+    ]
     return "## Pictures\n\n" + "\n\n".join(links) if links else ""
 
 
-def _plan(plan: Mapping[str, Any] | None) -> str:
-    if plan is None:
-        return ""
+def _plan(plan: Mapping[str, Any]) -> str:
     rows = [[d["part"], "yes" if d["used"] else "no", d["reason"]] for d in plan["decisions"]]
     return "## What was done and what was left out\n\n" + markdown_table(["part", "used", "why"], rows)
 
 
-def _environment(environment: Mapping[str, Any] | None) -> str:
-    if environment is None:
-        return ""
+def _environment(environment: Mapping[str, Any]) -> str:
     keys = ("command", "date", "processor", "cores", "threads", "accelerator", "python", "git_revision")
     rows = [
         [key.replace("_", " "), str(environment[key])] for key in keys if environment.get(key) is not None
@@ -171,20 +170,3 @@ def _environment(environment: Mapping[str, Any] | None) -> str:
     packages = environment.get("packages", {})
     rows += [[name, version] for name, version in packages.items() if version is not None]
     return "## Where and with what\n\n" + markdown_table(["", ""], rows)
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        why = f"{path} cannot be read ({error.strerror}); is this the folder of a finished run?"
-        raise CheckpointError(why) from error
-    except json.JSONDecodeError as error:
-        raise CheckpointError(f"{path} is not readable JSON ({error}); run the same command again") from error
-
-
-def _read_rows(path: Path) -> list[dict[str, str]]:
-    if not path.is_file():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))

@@ -9,10 +9,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-METRICS = ("psnr", "ssim", "lpips", "mask_iou")
-"""Measured at the end and along the error curve."""
-FIGURES = (*METRICS, "depth_error_mm", "spill", "holes")
-"""Measured at the end."""
+from occfusion.files.run_folder import FIGURES, METRICS
+
 DECIMALS = {"psnr": 2, "ssim": 4, "lpips": 1, "mask_iou": 3, "depth_error_mm": 1, "spill": 3, "holes": 4}
 PERCEPTUAL_SCALE = 1000
 """Perceptual scores are printed times 1000, as in the paper."""

@@ -10,29 +10,27 @@ import lightning as L
 from omegaconf import DictConfig
 
 from occfusion.cpu.processes import is_helper
-from occfusion.prior_training.appearance_task import Coarse, CoarseScene
 from occfusion.report.page import write_report
 from occfusion.report.tables import print_summary
-from occfusion.run.coarse import train_coarse
 from occfusion.run.evaluation import evaluate_run
-from occfusion.run.finished import finished_in, record_finished
-from occfusion.run.folder import at_work
-from occfusion.run.objects import Run, compose_run
+from occfusion.run.folder import at_work, finished_in, identify, record_finished
+from occfusion.run.prepare import Run, build, claim, decide, observe
 from occfusion.run.prior import run_prior_training
-from occfusion.run.stages import run_stages
 from occfusion.settings.schema import PRIOR_STAGE, load_settings, stages_to_run
 from occfusion.stages.loggers import check_logger
+from occfusion.types import Frame, Rendering
 
 
 def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
-    """Runs what a composed configuration asks for and returns the content of `metrics.json`; see `run_in_folder`."""
+    """Runs what a composed configuration asks for and returns its figures; see `run_in_folder`."""
     return run_in_folder(config, folder_chosen_by_user=folder_chosen_by_user)[1]
 
 
 def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[Path, dict[str, Any]]:
-    """Runs what a composed configuration asks for; returns the run folder and the content of `metrics.json`.
+    """Runs what a composed configuration asks for; returns the run folder and the figures of its evaluation.
 
-    What the same settings, data and evaluation gave before is taken as it is, unless `evaluation.again`.
+    What the same settings, data and evaluation gave before is taken as it is, unless `evaluation.again`. Where
+    nothing is evaluated there are no figures; the training of a prior gives its card in their place.
 
     Raises:
         OccfusionError: anything that the user can mend, before training where it can be known before.
@@ -43,35 +41,38 @@ def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[P
     check_logger(settings.logger)
     L.seed_everything(settings.seed, verbose=False)
     if settings.stage.name == PRIOR_STAGE:
+        card = run_prior_training(settings, folder_chosen_by_user=folder_chosen_by_user)
+        return Path(settings.output_dir), card
+    observed = observe(settings)
+    plan = decide(settings, observed)
+    folder = claim(settings, observed, plan, folder_chosen_by_user=folder_chosen_by_user)
+    with at_work(folder):
+        identity = identify(settings)
+        figures = finished_in(folder, identity, observed.data_hash)
+        if figures is None:
+            figures = _run_and_evaluate(build(settings, observed, plan, folder))
+        if figures:
+            record_finished(folder, identity, observed.data_hash)  # where the files lie now
+            print_summary(folder.path, figures)
+    return folder.path, figures
 
-        def train(scene: CoarseScene, folder: Path) -> Coarse:
-            return train_coarse(settings, scene, folder)
 
-        done = run_prior_training(settings, train, folder_chosen_by_user=folder_chosen_by_user)
-        return Path(settings.output_dir), done
-    run_ = compose_run(settings, folder_chosen_by_user)
-    with at_work(run_.folder):
-        return _run_and_evaluate(run_)
-
-
-def _run_and_evaluate(run_: Run) -> tuple[Path, dict[str, Any]]:
-    """Runs the stages that are asked for, evaluates and reports; returns the folder and `metrics.json`."""
-    settings = run_.settings
-    if (finished := finished_in(run_.folder, settings, run_.data_hash)) is not None:
-        record_finished(run_.folder, settings, run_.data_hash)  # where the files lie now
-        print_summary(run_.folder, finished.metrics)
-        return run_.folder, finished.metrics
-    run_stages(run_)
+def _run_and_evaluate(run_: Run) -> dict[str, Any]:
+    """Runs the stages of a run, evaluates and reports; returns the figures, none where there are none to be had."""
+    avatar = run_.run_stages()
     if is_helper():
-        return run_.folder, {}
-    if stages_to_run(settings) == ["init"]:  # nothing is trained yet that could be evaluated
-        print(f"run folder: {run_.folder}")
-        return run_.folder, {}
-    metrics = evaluate_run(
-        run_.folder, run_.data, run_.render, settings, run_.perceptual,
-        gaussians=run_.avatar.gaussians.num_gaussians, body=run_.avatar.body, coverage=run_.coverage,
+        return {}
+    if stages_to_run(run_.settings) == ["init"]:  # nothing is trained yet that could be evaluated
+        print(f"run folder: {run_.folder.path}")
+        return {}
+
+    def render(frame: Frame) -> Rendering:
+        return run_.renderer.frame(avatar, frame)
+
+    figures = evaluate_run(
+        run_.folder, run_.data, render, run_.settings, run_.metric,
+        gaussians=avatar.gaussians.num_gaussians, left_out=run_.plan.left_out(), body=avatar.body,
+        coverage=run_.coverage,
     )  # fmt: skip
     write_report(run_.folder)
-    record_finished(run_.folder, settings, run_.data_hash)
-    print_summary(run_.folder, metrics)
-    return run_.folder, metrics
+    return figures

@@ -1,23 +1,19 @@
-"""The run folder: claimed for one configuration, described for whoever finds it later."""
+"""Run folders: claimed for one configuration, kept to one process, and recognised when they are finished."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
-import platform
 import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict
-from datetime import UTC, datetime
-from importlib import metadata
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import torch
 from omegaconf import OmegaConf
 
 import occfusion
@@ -25,26 +21,21 @@ from occfusion.cpu.processes import helped_folder, is_helper
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes, json_bytes, write_bytes, write_json
 from occfusion.files.lock import Taken, only_one
-from occfusion.settings.schema import STAGES, Settings, settings_hash
+from occfusion.files.run_folder import RunFolder, read_json
+from occfusion.run.environment import describe_environment
+from occfusion.settings.schema import PRIOR_STAGE, Settings, settings_hash, stages_to_run
 
-PACKAGES = (
-    "torch", "lightning", "hydra-core", "kornia", "trimesh", "opencv-contrib-python-headless",
-    "torchmetrics", "numpy", "numba", "safetensors",
-)  # fmt: skip
 MAX_SIBLINGS = 1000
-MARKER = "environment.json"
-"""The file whose creation makes a folder a run's own."""
 MARKER_PATIENCE = 1.0
 """Seconds in which a marker that another process is writing may still be empty (disks without links)."""
-LOCK = ".at_work"
 TRIAL_SUFFIX = "-trial"
-TAKEN_OVER = (*STAGES, "masks", "inpainted", "metrics.json", "error_vs_time.csv", "losses.csv")
-"""What a later call on the same folder would take over instead of doing it."""
+
+# --- claiming ----------------------------------------------------------------------------------------------
 
 
 def claim_run_folder(
     settings: Settings, data_hash: str, *, chosen_by_user: bool, data: Mapping[str, str] | None = None
-) -> Path:
+) -> RunFolder:
     """Returns the folder for this run, made ready: new, or one that the same settings and data left off.
 
     A default folder that holds another run is left alone and a numbered sibling is used; a folder that the user
@@ -67,7 +58,7 @@ def claim_run_folder(
         ConfigError: the named folder holds another run, or cannot be written.
     """
     if (helped := helped_folder()) is not None:
-        return helped
+        return RunFolder(helped)
     wanted, is_trial = Path(settings.output_dir), settings.trainer.fast_dev_run
     if is_trial and not chosen_by_user:
         wanted = wanted.with_name(wanted.name + TRIAL_SUFFIX)
@@ -76,25 +67,24 @@ def claim_run_folder(
         **describe_environment(),
         "data": dict(data or {}),
     }
-    for number in range(1, MAX_SIBLINGS):
-        folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
+    for folder in _candidates(wanted, chosen_by_user):
         try:
             if _claim(folder, settings, description):
                 if is_trial:
                     _forget(folder)
                 return folder
         except OSError as error:
-            raise ConfigError(f"output_dir={folder} cannot be written: {error.strerror}") from error
+            raise ConfigError(f"output_dir={folder.path} cannot be written: {error.strerror}") from error
         if chosen_by_user:
             raise ConfigError(
-                f"output_dir={folder} holds a run with other settings or data (see {folder / 'config.yaml'}); "
+                f"output_dir={folder.path} holds a run with other settings or data (see {folder.config}); "
                 f"name another folder, or move that one away"
             )
     raise ConfigError(f"output_dir={wanted}: {MAX_SIBLINGS} numbered folders are taken; name another")
 
 
 @contextmanager
-def at_work(folder: Path) -> Iterator[None]:
+def at_work(folder: RunFolder) -> Iterator[None]:
     """Keeps a run folder to this process for the length of a `with` block.
 
     Raises:
@@ -103,46 +93,54 @@ def at_work(folder: Path) -> Iterator[None]:
     with ExitStack() as stack:
         try:
             if not is_helper():
-                stack.enter_context(only_one(folder / LOCK, wait=False))
+                stack.enter_context(only_one(folder.lock, wait=False))
         except Taken as holder:
             raise ConfigError(
-                f"output_dir={folder}: {holder} is at work on this very run; wait for it, or name another folder"
+                f"output_dir={folder.path}: {holder} is at work on this very run; wait for it, or name another folder"
             ) from None
         yield
 
 
-def _claim(folder: Path, settings: Settings, description: dict[str, Any]) -> bool:
+def _candidates(wanted: Path, chosen_by_user: bool) -> Iterator[RunFolder]:
+    """Yields the wanted folder and, unless the user named it, its numbered siblings."""
+    yield RunFolder(wanted)
+    if not chosen_by_user:
+        yield from (
+            RunFolder(wanted.with_name(f"{wanted.name}-{number}")) for number in range(2, MAX_SIBLINGS)
+        )
+
+
+def _claim(folder: RunFolder, settings: Settings, description: dict[str, Any]) -> bool:
     """Makes a folder this run's own where it is nobody's or its own already; returns whether it is."""
-    if folder.exists() and not folder.is_dir():
+    path, marker = folder.path, folder.environment
+    if path.exists() and not path.is_dir():
         return False
-    folder.mkdir(parents=True, exist_ok=True)
-    marker = folder / MARKER
+    path.mkdir(parents=True, exist_ok=True)
     if not marker.exists():
         # looked for again, since another process may have come between
-        if any(not _is_unfinished(path) for path in folder.iterdir()) and not marker.exists():
+        if any(not _is_unfinished(there, folder) for there in path.iterdir()) and not marker.exists():
             return False
         create_bytes(marker, json_bytes(description))
     if _identity_in(marker) != description["identity"]:
         return False
-    write_bytes(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(asdict(settings))).encode())
+    write_bytes(folder.config, OmegaConf.to_yaml(OmegaConf.create(asdict(settings))).encode())
     write_json(marker, description)
     return True
 
 
-def _forget(folder: Path) -> None:
+def _forget(folder: RunFolder) -> None:
     """Removes what an earlier trial left, unless that one is at work still."""
-    with suppress(Taken), only_one(folder / LOCK, wait=False):
-        for name in TAKEN_OVER:
-            path = folder / name
+    with suppress(Taken), only_one(folder.lock, wait=False):
+        for path in folder.taken_over:
             if path.is_dir():
                 shutil.rmtree(path)
             else:
                 path.unlink(missing_ok=True)
 
 
-def _is_unfinished(path: Path) -> bool:
+def _is_unfinished(path: Path, folder: RunFolder) -> bool:
     """Returns whether a file is one that another process is about to write, or was when it was killed."""
-    return path.name == LOCK or (path.name.startswith(".") and path.name.endswith(".partial"))
+    return path == folder.lock or (path.name.startswith(".") and path.name.endswith(".partial"))
 
 
 def _identity_in(marker: Path) -> Any:
@@ -159,48 +157,118 @@ def _identity_in(marker: Path) -> Any:
         time.sleep(0.02)
 
 
-def describe_environment() -> dict[str, Any]:
-    """Returns versions, hardware, threads, revision and command of this process."""
-    # an installed package may lie in a folder of somebody else's repository, whose revision says nothing of it
-    is_tracked = _git("ls-files", "--error-unmatch", Path(__file__).name) is not None
-    return {
+# --- recognising what is finished --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What the results of a call belong to, worked out once from its settings; the data's hash comes beside it.
+
+    Attributes:
+        asked: settings, stages and evaluation, as far as they decide results, and the program's version.
+        is_reusable: whether a result can stand for running; a trial of the code and a prior's training cannot.
+        sources: folders and files that are read; empty where the scene has no folder of its own under
+            `dataset.root`, so that this cannot be told.
+    """
+
+    asked: dict[str, Any]
+    is_reusable: bool
+    sources: tuple[Path, ...]
+
+    @cached_property
+    def source(self) -> str | None:
+        """Fingerprint of names, sizes and times of change of all files that are read; None where they are not known."""
+        digest = hashlib.sha256()
+        for path in self.sources:
+            for line in sorted(_states(path)):
+                digest.update(line.encode())
+        return digest.hexdigest()[:16] if self.sources else None
+
+
+def identify(settings: Settings) -> Identity:
+    """Returns what the results of a call with these settings belong to."""
+    evaluation, stages = asdict(settings.evaluation), stages_to_run(settings)
+    again = evaluation.pop("again")
+    asked = {
+        "settings": settings_hash(settings),
+        "stages": stages,
+        "evaluation": evaluation,
         "occfusion": occfusion.__version__,
-        "command": " ".join([Path(sys.argv[0]).name.replace("__main__.py", "occfusion"), *sys.argv[1:]]),
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "python": platform.python_version(),
-        "packages": {name: _version(name) for name in PACKAGES},
-        "system": f"{platform.system()} {platform.machine()}",
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": torch.get_num_threads(),
-        "accelerator": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
-        "git_revision": _git("rev-parse", "HEAD") if is_tracked else None,
-        "git_changed": bool(_git("status", "--porcelain")) if is_tracked else None,
     }
+    evaluates = settings.stage.name != PRIOR_STAGE and stages != ["init"]
+    is_reusable = evaluates and not again and not settings.trainer.fast_dev_run
+    return Identity(asked, is_reusable, _sources(settings))
 
 
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
+def record_finished(folder: RunFolder, identity: Identity, data_hash: str) -> None:
+    """Writes down what a run folder's results belong to; the last thing that a run does."""
+    write_json(folder.finished, {"identity": identity.asked, "data": data_hash, "source": identity.source})
+
+
+def finished_in(folder: RunFolder, identity: Identity, data_hash: str) -> dict[str, Any] | None:
+    """Returns the figures of the same settings, data and evaluation in a folder, or None."""
+    record = _read(folder.finished)
+    is_same = record.get("identity") == identity.asked and record.get("data") == data_hash
+    return _figures(folder) if identity.is_reusable and is_same else None
+
+
+def find_finished(settings: Settings, *, chosen_by_user: bool) -> tuple[Path, dict[str, Any]] | None:
+    """Returns folder and figures of a finished run of the same settings on files unchanged since, or None.
+
+    Looks where `claim_run_folder` would, without opening the data or building anything. None does not mean that
+    there is no such run, only that the data must be opened to know.
+    """
+    identity = identify(settings)
+    if not identity.is_reusable or not identity.sources:
         return None
+    for folder in _candidates(Path(settings.output_dir), chosen_by_user):
+        if not folder.path.is_dir():
+            return None
+        record = _read(folder.finished)
+        if record.get("identity") == identity.asked:
+            figures = _figures(folder) if record.get("source") == identity.source else None
+            return None if figures is None else (folder.path, figures)
+    return None
 
 
-def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for line in info.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor()
+def _sources(settings: Settings) -> tuple[Path, ...]:
+    root, scene = settings.dataset.root, settings.dataset.scene
+    if not root or not scene:
+        return ()
+    own = Path(root) / str(scene)
+    # embedded scenes lie one level deeper, in a folder for each size and length; settings of the turn lengthen the name
+    turns = any(getattr(settings.dataset, key, None) is not None for key in ("turn", "facing"))
+    pattern = f"{scene}*" if turns else scene
+    folders = (
+        [own] if own.is_dir() else sorted(path for path in Path(root).glob(f"*/{pattern}") if path.is_dir())
+    )
+    if not folders:
+        return ()
+    others = [settings.body.path, settings.dataset.occlusion.folder]
+    return (*folders, *(Path(other) for other in others if other))
 
 
-def _git(*arguments: str) -> str | None:
-    here = Path(__file__).parent
-    try:
-        done = subprocess.run(
-            ["git", *arguments], cwd=here, capture_output=True, text=True, timeout=10, check=False
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() if done.returncode == 0 else None
+def _states(path: Path) -> Iterator[str]:
+    if not path.is_dir():
+        yield _state(path.name, path.stat()) if path.is_file() else f"{path.name} missing\n"
+        return
+    for folder, _, files in os.walk(path):
+        for name in files:
+            file = Path(folder, name)
+            yield _state(file.relative_to(path).as_posix(), file.stat())
+
+
+def _state(name: str, stat: os.stat_result) -> str:
+    return f"{name} {stat.st_size} {stat.st_mtime_ns}\n"
+
+
+def _figures(folder: RunFolder) -> dict[str, Any] | None:
+    metrics = _read(folder.metrics)
+    return metrics if "regions" in metrics else None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Returns the content of a record; empty where it is missing or damaged."""
+    with suppress(CheckpointError):
+        return read_json(path)
+    return {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,10 +9,11 @@ import torch
 from omegaconf import OmegaConf
 
 from occfusion.errors import CheckpointError
+from occfusion.files.run_folder import STAGES, RunFolder, read_json
 from occfusion.human import Avatar, load_avatar
-from occfusion.run.compose import make_body
+from occfusion.run.prepare import make_body
 from occfusion.settings.names import without_old_names
-from occfusion.settings.schema import STAGES, Settings, load_settings
+from occfusion.settings.schema import Settings, load_settings
 from occfusion.types import Pose
 
 
@@ -40,20 +40,19 @@ def load_run(folder: Path) -> FinishedRun:
     Raises:
         CheckpointError: not a run folder, or no stage has finished in it.
     """
-    if not (folder / "config.yaml").is_file():
-        raise CheckpointError(f"{folder} is not a run folder: config.yaml is missing")
-    config = OmegaConf.to_container(OmegaConf.load(folder / "config.yaml"))
+    own = RunFolder(folder)
+    own.check_is_run()
+    config = OmegaConf.to_container(OmegaConf.load(own.config))
     assert isinstance(config, dict)
     settings = load_settings(without_old_names({str(key): value for key, value in config.items()}))
     for stage in reversed(STAGES):
-        file = folder / stage / "avatar.safetensors"
-        if file.is_file():
-            avatar = load_avatar(file, make_body(settings.body))
-            return FinishedRun(folder, settings, avatar, _upright_pose(folder / stage / "stage.json"))
+        left = own.stage(stage)
+        if left.avatar.is_file():
+            avatar = load_avatar(left.avatar, make_body(settings.body))
+            return FinishedRun(folder, settings, avatar, _upright_pose(read_json(left.record)["first_pose"]))
     raise CheckpointError(f"{folder} holds no avatar yet: let `python train.py output_dir={folder}` finish")
 
 
-def _upright_pose(record: Path) -> Pose:
-    """Returns the first training pose, standing at the origin and facing +z."""
-    pose = json.loads(record.read_text(encoding="utf-8"))["first_pose"]
+def _upright_pose(pose: dict[str, list[float]]) -> Pose:
+    """Returns a pose that stands at the origin and faces +z."""
     return Pose(torch.tensor(pose["betas"]), torch.zeros(3), torch.tensor(pose["body_pose"]), torch.zeros(3))

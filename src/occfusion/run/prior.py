@@ -1,12 +1,12 @@
-"""Trains an embedded prior: `python train.py stage=prior`."""
+"""Trains an embedded prior, and the coarse avatars that one of them learns from: `python train.py stage=prior`."""
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,31 +16,25 @@ from torch.utils.data import DataLoader, IterableDataset
 
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
-from occfusion.files.table import write_table
-from occfusion.prior_training.appearance_task import AppearanceTask, TrainCoarse
+from occfusion.files.table import read_table, write_table
+from occfusion.prior_training.appearance_task import AppearanceTask, Coarse, CoarseScene
 from occfusion.prior_training.silhouette_task import SilhouetteTask
 from occfusion.prior_training.task import PriorTask
 from occfusion.priors.embedded.network_file import save_net
 from occfusion.run.folder import claim_run_folder
-from occfusion.settings.schema import Settings, optim_hash
+from occfusion.run.prepare import build, claim, decide, observe
+from occfusion.run.training import fit
+from occfusion.settings.datasets import SyntheticSettings
+from occfusion.settings.schema import Settings, StageChoice, optim_hash
 from occfusion.settings.stages import PriorTrainingSettings
-from occfusion.stages.checkpointing import Checkpointing, resumable
-from occfusion.stages.interruption import Interrupted, SignalGuard
-from occfusion.stages.loggers import Place, make_logs
 from occfusion.stages.prior import Batch, PriorStage
-from occfusion.stages.progress import ProgressLine
-
-WEIGHTS = "prior.safetensors"
 
 
-def run_prior_training(
-    settings: Settings, train_coarse: TrainCoarse, *, folder_chosen_by_user: bool
-) -> dict[str, Any]:
+def run_prior_training(settings: Settings, *, folder_chosen_by_user: bool) -> dict[str, Any]:
     """Makes the corpus, trains a prior, writes its weights with a card; returns the card.
 
     Args:
         settings: of the run.
-        train_coarse: trains the coarse avatar of a scene, for the inpainter's corpus.
         folder_chosen_by_user: whether `output_dir` was named.
 
     Raises:
@@ -52,32 +46,14 @@ def run_prior_training(
         training = replace(training, examples=16, subjects=1, validation=4, steps=1, batch=4)
     identity = hashlib.sha256(json.dumps(asdict(training), sort_keys=True).encode()).hexdigest()[:16]
     folder = claim_run_folder(settings, identity, chosen_by_user=folder_chosen_by_user)
-    place = Path(training.corpus) if training.corpus else folder / "corpus"
-    task = _make_task(training, place, settings, train_coarse)
+    place = Path(training.corpus) if training.corpus else folder.corpus
+    task = _make_task(training, place, settings)
     task.prepare()
     L.seed_everything(settings.seed, verbose=False)  # the same network whether the corpus was there or not
     stage = PriorStage(task.make_net(), training, seed=settings.seed)
-    guard = SignalGuard()
-    curve = PriorCurve(folder / "error_vs_time.csv", training, task)
-    checkpoint = None if settings.trainer.fast_dev_run else resumable(folder / "last.ckpt")
-    logged = Place(folder, stage.name, checkpoint, is_trial=settings.trainer.fast_dev_run)
-    logs = make_logs(settings.logger, logged, asdict(settings))
-    callbacks: list[L.Callback] = [guard, curve, *logs.callbacks]
-    if not settings.trainer.fast_dev_run:
-        callbacks.append(Checkpointing(folder / "last.ckpt", settings.trainer.checkpoint_every))
-    if settings.trainer.enable_progress_bar:
-        callbacks.append(ProgressLine())
-    trainer = L.Trainer(
-        accelerator=settings.trainer.accelerator, devices=1, max_epochs=-1,
-        max_steps=settings.trainer.max_steps or training.steps, max_time=settings.trainer.max_time,
-        fast_dev_run=settings.trainer.fast_dev_run, logger=logs.loggers or False, enable_checkpointing=False,
-        enable_model_summary=False, enable_progress_bar=settings.trainer.enable_progress_bar, callbacks=callbacks,
-    )  # fmt: skip
-    loader = DataLoader(_Steps(task.batch, lambda: trainer.global_step), batch_size=None)
-    with guard:
-        trainer.fit(stage, loader, ckpt_path=checkpoint, weights_only=True)
-    if guard.received is not None and trainer.global_step < trainer.max_steps:
-        raise Interrupted(guard.received, str(folder / "last.ckpt"))
+    curve = PriorCurve(folder.curve, training, task)
+    batches = DataLoader(_Steps(task.batch, lambda: stage.global_step), batch_size=None)
+    fit(stage, batches, settings, folder, folder.checkpoint, steps=training.steps, measuring=[curve])
     trained = stage.finished()
     figures = task.finish(trained, stage.device)
     card = {
@@ -88,20 +64,69 @@ def run_prior_training(
         "data": task.data,
     }
     save_net(
-        folder / WEIGHTS, trained, task.kind, task.size, training.widths, training.depth, card, task.version
+        folder.prior_weights, trained, task.kind, task.size, training.widths, training.depth, card, task.version
     )  # fmt: skip
-    write_json(folder / "card.json", card)
-    print(f"weights: {folder / WEIGHTS}")
+    write_json(folder.prior_card, card)
+    print(f"weights: {folder.prior_weights}")
     return card
 
 
-def _make_task(
-    training: PriorTrainingSettings, place: Path, settings: Settings, train_coarse: TrainCoarse
-) -> PriorTask[Any]:
+def train_coarse(settings: Settings, scene: CoarseScene, place: Path) -> Coarse:
+    """Trains the coarse avatar of a scene of the inpainter's corpus, or takes up one trained before.
+
+    Args:
+        settings: of the training of the prior; variant and plan are those whose coarse avatars it learns from.
+        scene: whose avatar.
+        place: of its run.
+
+    Raises:
+        OccfusionError: as `Run.run_stages`; the variant completes no masks, so nothing would be inpainted after it;
+            or the data set is not the embedded one.
+    """
+    if "init" not in settings.variant.stages:
+        raise ConfigError(
+            f"stage=prior prior_training=appearance: variant {settings.variant.name} completes no masks, so nothing is "
+            f"inpainted after it; leave variant unset, or choose one of B to E"
+        )
+    if not isinstance(settings.dataset, SyntheticSettings):
+        raise ConfigError(
+            f"stage=prior prior_training=appearance dataset={settings.dataset.name}: its corpus is of embedded people; "
+            "leave dataset unset"
+        )
+    occlusion = replace(
+        settings.dataset.occlusion, kind=scene.occlusion, share=scene.share, fraction=scene.fraction
+    )
+    own = replace(
+        settings,
+        stage=StageChoice("optim"),
+        dataset=replace(
+            settings.dataset,
+            scene=scene.scene,
+            cameras=2,
+            train_frames=[0, scene.frames, 1],
+            occlusion=occlusion,
+        ),
+        evaluation=replace(settings.evaluation, curve=False, perceptual=False),
+        seed=scene.seed,
+        output_dir=str(place),
+    )
+    L.seed_everything(own.seed, verbose=False)  # whatever was trained before it in this process
+    observed = observe(own)
+    assert observed.frames is not None
+    plan = decide(own, observed)
+    folder = claim(own, observed, plan, folder_chosen_by_user=True)
+    avatar, data = build(own, observed, plan, folder).run_stages(), observed.data
+    frames = [data.train_frame(k, complete="init" in plan.stages) for k in range(len(data.train_indices))]
+    return Coarse(avatar.eval(), frames, observed.frames, observed.renderer)
+
+
+def _make_task(training: PriorTrainingSettings, place: Path, settings: Settings) -> PriorTask[Any]:
     if training.network == SilhouetteTask.kind:
         return SilhouetteTask(training, place, settings.seed)
     if training.network == AppearanceTask.kind:
-        return AppearanceTask(training, place, settings.seed, optim_hash(settings), train_coarse)
+        return AppearanceTask(
+            training, place, settings.seed, optim_hash(settings), partial(train_coarse, settings)
+        )
     raise ConfigError(f"prior_training.network={training.network!r}: choose silhouette or appearance")
 
 
@@ -119,7 +144,7 @@ class _Steps(IterableDataset[Batch]):
 
 
 class PriorCurve(L.Callback):
-    """A task's figures at times t, 2t, 4t … and at the end (`error_vs_time.csv`).
+    """A task's figures at times t, 2t, 4t … and at the end.
 
     Args:
         path: the table; rows beyond the step that a resumed run starts from are dropped.
@@ -140,7 +165,7 @@ class PriorCurve(L.Callback):
 
     def latest(self) -> dict[str, Any]:
         """Returns the last figures; of the table where this call had nothing left to train."""
-        rows = self._rows()
+        rows = read_table(self.path)
         if self._last or not rows:
             return self._last
         return {
@@ -150,7 +175,7 @@ class PriorCurve(L.Callback):
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Drops what a resumed run will measure again."""
         assert isinstance(pl_module, PriorStage)
-        kept = [row for row in self._rows() if int(row["step"]) <= trainer.global_step]
+        kept = [row for row in read_table(self.path) if int(row["step"]) <= trainer.global_step]
         write_table(self.path, self.columns, kept)
         while self._next <= pl_module.clock.seconds:
             self._next *= 2
@@ -172,10 +197,4 @@ class PriorCurve(L.Callback):
             "loss": round(stage.last_terms()["v"], 5),
             **{name: round(value, 4) for name, value in figures.items()},
         }
-        write_table(self.path, self.columns, [*self._rows(), self._last])
-
-    def _rows(self) -> list[dict[str, Any]]:
-        if not self.path.is_file():
-            return []
-        with self.path.open(newline="", encoding="utf-8") as file:
-            return list(csv.DictReader(file))
+        write_table(self.path, self.columns, [*read_table(self.path), self._last])

@@ -16,6 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from occfusion.errors import ConfigError
 from occfusion.fields import check_choice, read_record, setting
+from occfusion.files.run_folder import STAGES
 from occfusion.perceptual import PRECISIONS
 from occfusion.settings.datasets import DATASETS, DatasetSettings, SyntheticSettings
 from occfusion.settings.names import dotted, refuse_old_names
@@ -29,7 +30,6 @@ from occfusion.settings.stages import (
     RefineSettings,
 )
 
-STAGES = ("init", "optim", "refine")
 PRIOR_STAGE = "prior"
 """The stage that trains a prior; it has no data set and no avatar."""
 

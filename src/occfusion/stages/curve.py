@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,15 +11,13 @@ import lightning as L
 
 from occfusion.cpu.memory import peak_memory_mb
 from occfusion.evaluation.evaluate import evaluate_frames, summarise
-from occfusion.files.table import write_table
+from occfusion.files.run_folder import METRICS
+from occfusion.files.table import read_table, write_table
 from occfusion.perceptual import PerceptualMetric
 from occfusion.stages.avatar import AvatarStage
 from occfusion.types import Frame, Rendering
 
-COLUMNS = (
-    "stage", "step", "train_seconds", "wall_seconds", "psnr", "ssim", "lpips", "mask_iou", "gaussians",
-    "peak_memory_mb",
-)  # fmt: skip
+COLUMNS = ("stage", "step", "train_seconds", "wall_seconds", *METRICS, "gaussians", "peak_memory_mb")
 
 
 class ErrorCurve(L.Callback):
@@ -53,10 +50,9 @@ class ErrorCurve(L.Callback):
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Measures the start of a fresh run, or drops what a resumed run will measure again."""
         assert isinstance(pl_module, AvatarStage)
-        rows = [
-            r for r in self._rows() if r["stage"] != pl_module.name or int(r["step"]) <= trainer.global_step
-        ]
-        self._write(rows)
+        rows = read_table(self.path)
+        kept = [r for r in rows if r["stage"] != pl_module.name or int(r["step"]) <= trainer.global_step]
+        write_table(self.path, COLUMNS, kept)
         while self._next <= pl_module.clock.seconds:
             self._next *= 2
         if trainer.global_step == 0:
@@ -88,11 +84,11 @@ class ErrorCurve(L.Callback):
                 "step": trainer.global_step,
                 "train_seconds": round(seconds, 3),
                 "wall_seconds": round(time.monotonic() - self._wall_started, 3),
-                **{key: full[key] for key in ("psnr", "ssim", "lpips", "mask_iou")},
+                **{key: full[key] for key in METRICS},
                 "gaussians": stage.num_gaussians,
                 "peak_memory_mb": round(peak_memory_mb(), 1),
             }
-            self._write([*self._rows(), row])
+            write_table(self.path, COLUMNS, [*read_table(self.path), row])
             known = {
                 f"held_out/{key}": value
                 for key, value in full.items()
@@ -101,12 +97,3 @@ class ErrorCurve(L.Callback):
             for logger in trainer.loggers:
                 logger.log_metrics(known, trainer.global_step)
         self._last_step = trainer.global_step
-
-    def _rows(self) -> list[dict[str, Any]]:
-        if not self.path.is_file():
-            return []
-        with self.path.open(newline="", encoding="utf-8") as file:
-            return list(csv.DictReader(file))
-
-    def _write(self, rows: list[dict[str, Any]]) -> None:
-        write_table(self.path, COLUMNS, rows)

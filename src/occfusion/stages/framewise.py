@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import lightning as L
@@ -12,29 +12,48 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset
 
 from occfusion.files.atomic import write_json
+from occfusion.files.run_folder import FrameFolder
 from occfusion.stages.base import Stage
-from occfusion.stages.interruption import SignalGuard
+from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.progress import FrameProgress
 from occfusion.types import Frame
-
-MANIFEST = "manifest.json"
 
 
 class FramewiseStage(Stage):
     """A stage that writes a picture of each frame and keeps a manifest, so that a stopped run continues behind it.
 
     Args:
-        folder: where the pictures, named by frame, and the manifest go.
+        folder: where the pictures and the manifest go.
         identity: all that the pictures depend on; records of another identity are not taken up.
 
     Attributes:
         records: what was done with each frame, by its name.
     """
 
-    def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
+    def __init__(self, folder: FrameFolder, identity: dict[str, Any]) -> None:
         super().__init__()
         self.folder, self.identity = folder, identity
         self.records = self._earlier()
+
+    @property
+    @abstractmethod
+    def wanted(self) -> list[int]:
+        """Positions of the frames that are not written yet."""
+
+    def treat(self, read: Callable[[int], Frame], positions: Sequence[int], *, progress: bool) -> None:
+        """Calls `predict_step` for the frames at some positions.
+
+        Args:
+            read: gives the training frame at a position.
+            positions: of the frames.
+            progress: whether a progress line is shown.
+
+        Raises:
+            Interrupted: a signal stopped it before all was done; what is written stays.
+        """
+        signal = predict_frames(self, read, positions, progress=progress) if positions else None
+        if signal is not None and self.wanted:
+            raise Interrupted(signal, str(self.folder.path))
 
     def read_again(self) -> None:
         """Takes up what has been put into the folder since: pictures with the manifest of this very identity."""
@@ -42,13 +61,13 @@ class FramewiseStage(Stage):
 
     def _earlier(self) -> dict[str, dict[str, Any]]:
         """Returns the records of an earlier call that still hold."""
-        path = self.folder / MANIFEST
+        path = self.folder.manifest
         if not path.is_file():
             return {}
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["identity"] != json.loads(json.dumps(self.identity)):
             return {}
-        return {name: r for name, r in content["frames"].items() if (self.folder / f"{name}.png").is_file()}
+        return {name: r for name, r in content["frames"].items() if self.folder.picture(int(name)).is_file()}
 
     def transfer_batch_to_device(self, batch: Frame, device: torch.device, dataloader_idx: int) -> Frame:
         """Returns the frame where it is: geometry is done on the host, and a network's owner moves what it needs."""
@@ -60,9 +79,8 @@ class FramewiseStage(Stage):
 
     def write_manifest(self, **more: Any) -> None:
         """Writes what was done, with what."""
-        self.folder.mkdir(parents=True, exist_ok=True)
         content = {"identity": self.identity, **more, "frames": dict(sorted(self.records.items()))}
-        write_json(self.folder / MANIFEST, content)
+        write_json(self.folder.manifest, content)
 
 
 class _Frames(IterableDataset[Frame]):

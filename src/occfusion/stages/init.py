@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,16 +11,16 @@ from numpy.typing import NDArray
 
 from occfusion.files.atomic import write_png
 from occfusion.files.images import read_mask
+from occfusion.files.run_folder import FrameFolder, frame_name
 from occfusion.human.body import Body
 from occfusion.observation.consistency import body_flow, smoothed, warped_iou
 from occfusion.observation.frames import ObservedFrame
-from occfusion.priors.calibration import Calibration
+from occfusion.priors.calibration import Calibration, calibrate
 from occfusion.priors.masks import MaskPrior, checked_probability, with_what_is_known
 from occfusion.settings.stages import InitSettings
 from occfusion.stages.framewise import FramewiseStage
 from occfusion.types import Frame
 
-UNCERTAINTY = "uncertainty"
 REMEMBERED = 3
 """Positions to either side whose probabilities are kept for smoothing."""
 
@@ -51,7 +50,7 @@ class InitStage(FramewiseStage):
         observed_frames: Sequence[ObservedFrame],
         read: Callable[[int], Frame],
         settings: InitSettings,
-        folder: Path,
+        folder: FrameFolder,
         identity: dict[str, Any],
     ) -> None:
         super().__init__(folder, {**identity, **vars(settings), **prior.describe()})
@@ -70,7 +69,7 @@ class InitStage(FramewiseStage):
         return [
             k
             for k, observed_frame in enumerate(self.observed_frames)
-            if _name(observed_frame.index) not in self.records
+            if frame_name(observed_frame.index) not in self.records
         ]
 
     @torch.no_grad()
@@ -86,17 +85,13 @@ class InitStage(FramewiseStage):
             uncertainty = 4.0 * probability * (1.0 - probability)
             record["status"] = "completed" if visible.any() else "completed, nothing seen"
             record["added_pixels"] = int((mask & ~visible).sum())
-            (self.folder / UNCERTAINTY).mkdir(parents=True, exist_ok=True)
-            write_png(
-                self.folder / UNCERTAINTY / f"{_name(frame.index)}.png",
-                (255.0 * uncertainty + 0.5).astype(np.uint8),
-            )
+            picture = (255.0 * uncertainty + 0.5).astype(np.uint8)
+            write_png(self.folder.second_picture(frame.index), picture)
         else:
             mask = visible
             record["status"] = "passed through"
-        self.folder.mkdir(parents=True, exist_ok=True)
-        write_png(mask_path(self.folder, frame.index), np.where(mask, 255, 0).astype(np.uint8))
-        self.records[_name(frame.index)] = record
+        write_png(self.folder.picture(frame.index), mask)
+        self.records[frame_name(frame.index)] = record
         return record
 
     def _probability(self, position: int) -> NDArray[np.float32]:
@@ -133,6 +128,23 @@ class InitStage(FramewiseStage):
         # only what is not known is smoothed
         return np.where(observed_frame.evidence.background | visible, own, mean)
 
+    def complete(self, positions: Sequence[int], *, progress: bool) -> None:
+        """Completes the masks of the frames at some positions, the prior calibrated first where that is asked.
+
+        Raises:
+            Interrupted: a signal stopped it; what is written stays.
+        """
+        if positions and self.settings.calibrate and self.settings.source == "prior":
+            self.calibration = calibrate(self._prior[0], self.observed_frames, self._read, self._body[0])
+        self.treat(self._read, positions, progress=progress)
+
+    def finish(self) -> dict[str, Any]:
+        """Writes the manifest of the finished stage; returns how many masks it completed, of how many, how steadily."""
+        consistency = self.consistency()
+        self.write_manifest(consistency=consistency)
+        completed = sum(record["status"].startswith("completed") for record in self.records.values())
+        return {"completed": completed, "frames": len(self.observed_frames), "consistency": consistency}
+
     def write_manifest(self, **more: Any) -> None:
         """Writes what was done, with what; the calibration too."""
         fitted = None if self.calibration is None else self.calibration.describe()
@@ -150,18 +162,9 @@ class InitStage(FramewiseStage):
             if not now.evidence.occluded:
                 continue
             mask, earlier = (
-                read_mask(mask_path(self.folder, observed_frame.index)) for observed_frame in (now, before)
+                read_mask(self.folder.picture(observed_frame.index)) for observed_frame in (now, before)
             )
             flow = body_flow(now.projected, before.projected, faces, *mask.shape)
             scores.append(warped_iou(mask, earlier, flow, ~now.evidence.background))
         known = [score for score in scores if score is not None]
         return float(np.mean(known)) if known else None
-
-
-def _name(frame: int) -> str:
-    return f"{frame:06d}"
-
-
-def mask_path(folder: Path, frame: int) -> Path:
-    """Returns where the complete mask of a frame of the sequence lies."""
-    return folder / f"{_name(frame)}.png"

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
 from occfusion.files.atomic import write_png
+from occfusion.files.run_folder import FrameFolder, frame_name
 from occfusion.human.avatar import Avatar
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.partial import Inpainter, checked_picture, take_partial
 from occfusion.observation.frames import ObservedFrame
 from occfusion.stages.framewise import FramewiseStage
-from occfusion.stages.references import REGIONS, References, picture_path, region_path_of
+from occfusion.stages.references import References
 from occfusion.types import Frame
 
 
@@ -46,7 +46,7 @@ class InpaintStage(FramewiseStage):
         inpainter: Inpainter,
         avatar: Avatar,
         observed_frames: Sequence[ObservedFrame],
-        folder: Path,
+        folder: FrameFolder,
         identity: dict[str, Any],
         renderer: Renderer,
         pixels: str,
@@ -66,7 +66,7 @@ class InpaintStage(FramewiseStage):
         occluded = (
             k for k, observed_frame in enumerate(self.observed_frames) if observed_frame.evidence.occluded
         )
-        return [k for k in occluded if f"{self.observed_frames[k].index:06d}" not in self.records]
+        return [k for k in occluded if frame_name(self.observed_frames[k].index) not in self.records]
 
     @property
     def references(self) -> References:
@@ -92,9 +92,8 @@ class InpaintStage(FramewiseStage):
         partial = take_partial(avatar, self.accumulated, frame, observation, self._renderer)
         picture, painted = checked_picture(self._inpainter[0], partial), partial.region
         region = partial.unseen if self._pixels == "unseen" else painted
-        (self.folder / REGIONS).mkdir(parents=True, exist_ok=True)
-        write_png(region_path_of(self.folder, frame.index), np.where(region, 255, 0).astype(np.uint8))
-        write_png(picture_path(self.folder, frame.index), np.round(255.0 * picture).astype(np.uint8))
+        write_png(self.folder.second_picture(frame.index), region)
+        write_png(self.folder.picture(frame.index), np.round(255.0 * picture).astype(np.uint8))
         record = {
             "painted_pixels": int(painted.sum()),
             "region_pixels": int(region.sum()),
@@ -102,5 +101,5 @@ class InpaintStage(FramewiseStage):
             if painted.any()
             else 0.0,
         }
-        self.records[f"{frame.index:06d}"] = record
+        self.records[frame_name(frame.index)] = record
         return record

@@ -18,9 +18,10 @@ from torch import Tensor
 
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_bytes
+from occfusion.files.run_folder import RunFolder
 from occfusion.settings.stages import LoggerSettings
 from occfusion.stages.base import Stage
-from occfusion.stages.losses_log import LOSS_TABLE, LossLog
+from occfusion.stages.losses_log import LossLog
 from occfusion.types import Frame, Rendering
 
 
@@ -42,14 +43,13 @@ class Place:
     """Where and of what something is logged.
 
     Attributes:
-        folder: the run folder. TensorBoard's files go to `tensorboard/<stage>` in it, those of Weights & Biases to
-            `wandb`.
+        folder: of the run.
         stage: name of the stage.
         checkpoint: that the stage continues from; None where it starts.
         is_trial: whether nothing but `losses.csv` is to be left behind.
     """
 
-    folder: Path
+    folder: RunFolder
     stage: str
     checkpoint: Path | None = None
     is_trial: bool = False
@@ -95,7 +95,7 @@ def make_logs(
     Raises:
         ConfigError: Weights & Biases cannot begin.
     """
-    table = LossLog(place.folder / LOSS_TABLE, settings.every)
+    table = LossLog(place.folder.losses, settings.every)
     if settings.name == "csv" or place.is_trial:
         return Logs([], [table])
     logger = _tensorboard(place) if settings.name == "tensorboard" else _wandb(settings, place, config)
@@ -110,8 +110,9 @@ def _tensorboard(place: Place) -> Logger:
 
     # points of steps that will be done again are hidden; a folder a stage, for their steps count from 0 each
     first = 0 if place.checkpoint is None else _step_of(place.checkpoint) + 1
+    folder = place.folder.tensorboard
     return TensorBoardLogger(
-        place.folder, name="tensorboard", version=place.stage, default_hp_metric=False, purge_step=first
+        folder.parent, name=folder.name, version=place.stage, default_hp_metric=False, purge_step=first
     )
 
 
@@ -119,16 +120,16 @@ def _wandb(settings: LoggerSettings, place: Place, config: Mapping[str, Any]) ->
     import wandb
     from lightning.pytorch.loggers import WandbLogger
 
-    known = place.folder / "wandb" / f"{place.stage}.id"
+    folder, known = place.folder.path, place.folder.wandb_id(place.stage)
     if place.checkpoint is None or not known.is_file():
         write_bytes(known, secrets.token_hex(8).encode())
     logger = WandbLogger(
-        name=f"{place.folder.name} {place.stage}",
-        save_dir=place.folder,
+        name=f"{folder.name} {place.stage}",
+        save_dir=folder,
         id=known.read_text(encoding="ascii"),
         project=settings.project,
         mode="offline" if settings.offline else None,
-        group=str(place.folder),
+        group=str(folder),
         job_type=place.stage,
         config={**config, "stage": place.stage},
     )

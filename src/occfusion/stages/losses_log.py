@@ -15,10 +15,9 @@ import torch
 from torch import Tensor
 
 from occfusion.errors import CheckpointError, DataError
-from occfusion.files.table import table_bytes, write_table
+from occfusion.files.table import read_table, table_bytes, write_table
 from occfusion.stages.base import Stage
 
-LOSS_TABLE = "losses.csv"
 BATCH_ROWS = 100
 """Rows that are held back at most, so that files and accelerators are seldom waited for."""
 BATCH_SECONDS = 10.0
@@ -84,11 +83,7 @@ class LossTable:
         """
         columns = _ordered([*self._columns, *(name for row in rows for name in row)])
         if columns != self._columns:
-            before = []
-            if self.path.is_file():
-                with self.path.open(newline="", encoding="utf-8") as file:
-                    before = list(csv.DictReader(file))
-            write_table(self.path, columns, [*before, *rows])
+            write_table(self.path, columns, [*read_table(self.path), *rows])
             self._columns = columns
             return
         try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,11 +11,9 @@ from torch import Tensor
 
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
+from occfusion.files.run_folder import FrameFolder
 from occfusion.geometry.boxes import crop
 from occfusion.types import Box, Frame
-
-REGIONS = "regions"
-"""Folder beside the pictures: where each of them counts."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ class References:
         frames: numbers of the frames that have one.
     """
 
-    def __init__(self, folder: Path, frames: frozenset[int]) -> None:
+    def __init__(self, folder: FrameFolder, frames: frozenset[int]) -> None:
         self.folder, self.frames = folder, frames
         self._read: dict[int, tuple[NDArray[np.uint8], NDArray[np.bool_]]] = {}
 
@@ -58,11 +55,12 @@ class References:
         return Reference(rgb.to(frame.rgb) / 255.0, region.to(frame.rgb.device))
 
     def _open(self, frame: Frame) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        path, region_path = picture_path(self.folder, frame.index), region_path_of(self.folder, frame.index)
+        path = self.folder.picture(frame.index)
+        region_path = self.folder.second_picture(frame.index)
         for file in (path, region_path):
             if not file.is_file():
                 raise DataError(
-                    f"{file}: the reference of this frame is missing; remove {self.folder} to make all anew"
+                    f"{file}: the reference of this frame is missing; remove {self.folder.path} to make all anew"
                 )
         rgb, region = read_rgb(path), read_mask(region_path)
         height, width = frame.rgb.shape[:2]
@@ -71,13 +69,3 @@ class References:
                 f"{path}: {rgb.shape[1]} x {rgb.shape[0]} pixels, but frames have {width} x {height}"
             )
         return rgb, region
-
-
-def picture_path(folder: Path, frame: int) -> Path:
-    """Returns where the inpainted picture of a frame of the sequence lies."""
-    return folder / f"{frame:06d}.png"
-
-
-def region_path_of(folder: Path, frame: int) -> Path:
-    """Returns where the region lies that it counts in."""
-    return folder / REGIONS / f"{frame:06d}.png"

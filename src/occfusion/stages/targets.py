@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.geometry.boxes import crop
+from occfusion.observation.frames import ObservedFrame
 from occfusion.types import Box, Frame
 
 
@@ -45,6 +46,13 @@ class UncertainMasks:
 
     hidden: Masks = field(default_factory=dict)
     assumed_background: Masks = field(default_factory=dict)
+
+    @classmethod
+    def found(cls, observed_frames: Iterable[ObservedFrame]) -> UncertainMasks:
+        """Returns where masks and poses of the training frames leave complete masks uncertain."""
+        evidence = {observed_frame.index: observed_frame.evidence for observed_frame in observed_frames}
+        hidden = {frame: own.maybe_hidden for frame, own in evidence.items() if own.maybe_hidden.any()}
+        return cls(hidden, {frame: mask & evidence[frame].background for frame, mask in hidden.items()})
 
     def of(self, frame: Frame, box: Box, unseen: Tensor | None = None) -> Tensor | None:
         """Returns the uncertain pixels of a window but those of `unseen`, bool `[h, w]`; None for a whole person."""

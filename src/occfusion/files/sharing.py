@@ -8,39 +8,69 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from occfusion.errors import CheckpointError
 from occfusion.files.lock import only_one
+from occfusion.files.run_folder import RunFolder, StageFolder, read_json
 
-SHARED = ".shared"
-STAGE_RECORD = "stage.json"
-"""In a shared folder: the record of the stage that made it, beside its files."""
+RESULTS = "results"
+"""In a shared folder: the stage's files, beside its record."""
 
 
-def shared_folder(run_folder: Path, chosen: str | None, stage: str, identity: Mapping[str, Any]) -> Path:
+def shared_folder(folder: RunFolder, chosen: str | None, stage: str, identity: Mapping[str, Any]) -> Path:
     """Returns where a stage's result of this identity is shared.
 
     Args:
-        run_folder: the run that asks; variants of a scene lie beside each other by default.
+        folder: of the run that asks; variants of a scene lie beside each other by default.
         chosen: the setting `shared_dir`; None for a folder beside the run folder.
         stage: name of the stage.
         identity: all that the result depends on; must be writable as JSON.
     """
-    root = Path(chosen) if chosen is not None else run_folder.parent / SHARED
+    root = folder.shared if chosen is None else Path(chosen)
     key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
     return root / stage / key
 
 
-@contextlib.contextmanager
-def sole_maker(shared: Path, stage: str) -> Iterator[None]:
-    """Lets one run at a time make what is shared; the others wait, and then find it made.
+def take_or_make(
+    shared: Path,
+    results: Path,
+    record: Path,
+    *,
+    is_whole: Callable[[], bool],
+    make: Callable[[], None],
+    without: Collection[str] = (),
+) -> dict[str, Any] | None:
+    """Takes a stage's shared results, or makes and shares them; one run at a time, while the others wait.
 
     Args:
         shared: from `shared_folder`.
-        stage: its name, for the message to whoever waits.
+        results: the folder for the stage's files; those of the same name are replaced.
+        record: of the finished stage, written by `make`.
+        is_whole: whether what was put into `results` is all that is needed.
+        make: does the stage.
+        without: names of files that nobody else needs.
+
+    Returns:
+        The record of the stage that made them; None where they were made here.
     """
+    with sole_maker(shared):
+        if shared.is_dir():
+            made = take(shared, results)
+            if made is not None and is_whole():
+                return made
+            discard(shared)  # incomplete: what is made now takes its place
+        make()
+        offer(shared, results, record, without)
+    return None
+
+
+@contextlib.contextmanager
+def sole_maker(shared: Path) -> Iterator[None]:
+    """Lets one run at a time make what is shared; the others wait, and then find it made."""
+    stage = shared.parent.name
 
     def say() -> None:
         print(f"{stage}: another run is making the same; waiting for it", flush=True)
@@ -57,7 +87,7 @@ def offer(shared: Path, results: Path, record: Path, without: Collection[str] = 
     Args:
         shared: from `shared_folder`; appears whole or not at all.
         results: the folder with the stage's files.
-        record: its `stage.json`.
+        record: of the finished stage.
         without: names of files that nobody else needs.
     """
     if shared.exists():
@@ -66,8 +96,8 @@ def offer(shared: Path, results: Path, record: Path, without: Collection[str] = 
         shared.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{shared.name}.", dir=shared.parent))
         try:
-            _link_tree(results, partial / "results", without)
-            shutil.copy2(record, partial / STAGE_RECORD)
+            _link_tree(results, partial / RESULTS, without)
+            shutil.copy2(record, StageFolder(partial).record)
             os.rename(partial, shared)  # fails where another run was faster
         finally:
             shutil.rmtree(partial, ignore_errors=True)
@@ -84,11 +114,11 @@ def take(shared: Path, results: Path) -> dict[str, Any] | None:
         None where nothing is shared or what is shared cannot be read; the stage then computes.
     """
     try:
-        record = json.loads((shared / STAGE_RECORD).read_text(encoding="utf-8"))
-        _link_tree(shared / "results", results)
-    except (OSError, ValueError):
+        record = read_json(StageFolder(shared).record)
+        _link_tree(shared / RESULTS, results)
+    except (OSError, CheckpointError):
         return None
-    return record if isinstance(record, dict) else None
+    return record
 
 
 def discard(shared: Path) -> None:

@@ -1,0 +1,290 @@
+"""The run folder: the name of everything in it, and the reading of the small records that a run leaves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from occfusion.errors import CheckpointError
+
+STAGES = ("init", "optim", "refine")
+"""The stages of an avatar's training, in their order; each has a folder of its own."""
+METRICS = ("psnr", "ssim", "lpips", "mask_iou")
+"""Figures of `metrics.json` that are measured along the error curve too."""
+FIGURES = (*METRICS, "depth_error_mm", "spill", "holes")
+"""Figures of each region in `metrics.json`."""
+REGIONS = ("full", "box", "visible", "hidden", "seen_many", "seen_one", "unseen")
+"""Regions of `metrics.json`: held-out cameras, training views, held-out cameras by what training saw of the body."""
+
+
+@dataclass(frozen=True)
+class FrameFolder:
+    """A folder with two pictures for each frame, named by the frame's number, and a manifest.
+
+    Attributes:
+        path: the folder, with the first pictures.
+        second: name of the folder in it with the second ones.
+    """
+
+    path: Path
+    second: str
+
+    @property
+    def manifest(self) -> Path:
+        """With what each picture was made."""
+        return self.path / "manifest.json"
+
+    def picture(self, frame: int) -> Path:
+        """Returns where the picture of a frame lies."""
+        return self.path / f"{frame_name(frame)}.png"
+
+    def second_picture(self, frame: int) -> Path:
+        """Returns where the second picture of a frame lies."""
+        return self.path / self.second / f"{frame_name(frame)}.png"
+
+
+def frame_name(frame: int) -> str:
+    """Returns the name of a frame in a run folder: its number, with six digits."""
+    return f"{frame:06d}"
+
+
+@dataclass(frozen=True)
+class StageFolder:
+    """The folder of one stage of a run.
+
+    Attributes:
+        path: the folder.
+    """
+
+    path: Path
+
+    @property
+    def avatar(self) -> Path:
+        """The avatar alone, as the stage left it."""
+        return self.path / "avatar.safetensors"
+
+    @property
+    def checkpoint(self) -> Path:
+        """What a stopped stage continues from."""
+        return self.path / "last.ckpt"
+
+    @property
+    def record(self) -> Path:
+        """Written last: the stage is done, with its training seconds."""
+        return self.path / "stage.json"
+
+    @property
+    def has_avatar(self) -> bool:
+        """Whether the stage is done and left an avatar."""
+        return self.record.is_file() and self.avatar.is_file()
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """All names in a run folder.
+
+    Attributes:
+        path: the folder.
+    """
+
+    path: Path
+
+    # --- what the run is -----------------------------------------------------------------------------
+
+    @property
+    def config(self) -> Path:
+        """The resolved settings."""
+        return self.path / "config.yaml"
+
+    @property
+    def environment(self) -> Path:
+        """Whose folder it is, on what machine and with which versions; its creation claims the folder."""
+        return self.path / "environment.json"
+
+    @property
+    def plan(self) -> Path:
+        """What the scene needs and what was left out."""
+        return self.path / "plan.json"
+
+    @property
+    def finished(self) -> Path:
+        """What the results belong to; the last thing that a run writes."""
+        return self.path / "finished.json"
+
+    @property
+    def lock(self) -> Path:
+        """Held by the process at work in the folder."""
+        return self.path / ".at_work"
+
+    @property
+    def shared(self) -> Path:
+        """Where results of stages are shared with the runs beside this one."""
+        return self.path.parent / ".shared"
+
+    # --- what the stages leave -----------------------------------------------------------------------
+
+    def stage(self, name: str) -> StageFolder:
+        """Returns the folder of a stage."""
+        return StageFolder(self.path / name)
+
+    @property
+    def occlusion(self) -> Path:
+        """What a simulated occlusion hides of each training frame."""
+        return self.path / "occlusion"
+
+    @property
+    def masks(self) -> FrameFolder:
+        """Complete masks of the initialisation stage; beside each how uncertain it is."""
+        return FrameFolder(self.path / "masks", "uncertainty")
+
+    @property
+    def inpainted(self) -> FrameFolder:
+        """References of the refinement stage; beside each where it counts."""
+        return FrameFolder(self.path / "inpainted", "regions")
+
+    @property
+    def point_cloud(self) -> Path:
+        """Canonical Gaussians in the 3DGS layout."""
+        return self.path / "point_cloud.ply"
+
+    @property
+    def losses(self) -> Path:
+        """Every term, rate and count a step."""
+        return self.path / "losses.csv"
+
+    @property
+    def curve(self) -> Path:
+        """Error against training time."""
+        return self.path / "error_vs_time.csv"
+
+    @property
+    def tensorboard(self) -> Path:
+        """TensorBoard's files, a folder a stage."""
+        return self.path / "tensorboard"
+
+    def wandb_id(self, stage: str) -> Path:
+        """Returns where the number lies under which Weights & Biases knows a stage."""
+        return self.path / "wandb" / f"{stage}.id"
+
+    # --- what the evaluation leaves ------------------------------------------------------------------
+
+    @property
+    def metrics(self) -> Path:
+        """Means over images, region by region."""
+        return self.path / "metrics.json"
+
+    @property
+    def per_image(self) -> Path:
+        """One row a region of an evaluated image."""
+        return self.path / "per_image.csv"
+
+    @property
+    def per_camera(self) -> Path:
+        """Means camera by camera."""
+        return self.path / "per_camera.csv"
+
+    @property
+    def per_frame(self) -> Path:
+        """Means frame by frame."""
+        return self.path / "per_frame.csv"
+
+    @property
+    def pictures(self) -> Path:
+        """Folder of comparisons for people."""
+        return self.path / "pictures"
+
+    @property
+    def held_out_picture(self) -> Path:
+        """Held-out views: truth, rendering, error; a description of its parts lies beside it."""
+        return self.pictures / "held_out.png"
+
+    @property
+    def training_picture(self) -> Path:
+        """Training views in the same way."""
+        return self.pictures / "training.png"
+
+    @property
+    def directions_picture(self) -> Path:
+        """The body, coloured by how many directions training saw each place from."""
+        return self.pictures / "directions.png"
+
+    @property
+    def report(self) -> Path:
+        """The page a person looks at first."""
+        return self.path / "report.md"
+
+    # --- what the training of a prior leaves instead -------------------------------------------------
+
+    @property
+    def checkpoint(self) -> Path:
+        """What a stopped training of a prior continues from."""
+        return StageFolder(self.path).checkpoint
+
+    @property
+    def corpus(self) -> Path:
+        """Folder of the examples that a prior learns from."""
+        return self.path / "corpus"
+
+    @property
+    def prior_weights(self) -> Path:
+        """The trained network."""
+        return self.path / "prior.safetensors"
+
+    @property
+    def prior_card(self) -> Path:
+        """How it was trained, and its figures."""
+        return self.path / "card.json"
+
+    # --- reading ---------------------------------------------------------------------------------------
+
+    @property
+    def taken_over(self) -> list[Path]:
+        """What a later call on the same folder would take over instead of doing it."""
+        stages = (self.stage(name).path for name in STAGES)
+        return [*stages, self.masks.path, self.inpainted.path, self.metrics, self.curve, self.losses]
+
+    def check_is_run(self) -> None:
+        """Refuses a folder that no run has claimed.
+
+        Raises:
+            CheckpointError: not a run folder.
+        """
+        if not self.config.is_file():
+            raise CheckpointError(f"{self.path} is not a run folder: {self.config.name} is missing")
+
+    def read_metrics(self) -> dict[str, Any]:
+        """Returns the content of `metrics`.
+
+        Raises:
+            CheckpointError: the run has not come to its end, or the file is damaged.
+        """
+        return read_json(self.metrics)
+
+    def train_seconds(self) -> dict[str, float | None]:
+        """Returns the training seconds of each stage, None where it did not run, and their `total`."""
+        known = {stage: self.stage(stage).record for stage in STAGES}
+        seconds = {
+            stage: round(float(read_json(record)["train_seconds"]), 3) if record.is_file() else None
+            for stage, record in known.items()
+        }
+        return seconds | {"total": round(sum(value for value in seconds.values() if value is not None), 3)}
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Returns the content of one of a run's JSON files.
+
+    Raises:
+        CheckpointError: it is missing or damaged; says what to do.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        why = f"{path} cannot be read ({error.strerror}); is this the folder of a finished run?"
+        raise CheckpointError(why) from error
+    except ValueError as error:
+        raise CheckpointError(f"{path} is not readable JSON ({error}); run the same command again") from error
+    if not isinstance(content, dict):
+        raise CheckpointError(f"{path} holds no table; run the same command again")
+    return content

@@ -1,0 +1,133 @@
+"""The optimisation stage of a run: trained, or taken over from a run whose plan agrees on it."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from dataclasses import asdict, dataclass
+
+from occfusion.cpu.processes import is_helper
+from occfusion.data.module import HumanDataModule
+from occfusion.data.sampling import spread
+from occfusion.files.run_folder import RunFolder
+from occfusion.files.sharing import shared_folder, take_or_make
+from occfusion.human import Avatar, load_avatar, write_gaussians_ply
+from occfusion.human.rendering import Renderer
+from occfusion.inpaint.accumulation import accumulate, paint_observed
+from occfusion.priors.build_prior import make_score_prior
+from occfusion.run.training import AvatarTraining
+from occfusion.settings.schema import optim_hash
+from occfusion.stages.distil import Distiller
+from occfusion.stages.optim import OptimStage
+
+LOOKED_AT = 200
+"""Frames at most whose colours the Gaussians start with."""
+OPACITY = 0.95
+"""Of discs on the body that are to hide what lies behind them."""
+
+
+@dataclass(frozen=True)
+class Optimisation:
+    """Fits the avatar of the body to what is seen, and to a prior's score where the plan has a term of it.
+
+    What follows it does not change it: variants whose plans agree on it share it.
+
+    Attributes:
+        training: of the run's avatar.
+    """
+
+    training: AvatarTraining
+
+    def run(self, avatar: Avatar) -> Avatar:
+        """Returns the avatar trained, that of an earlier call, or that of another run.
+
+        Raises:
+            Interrupted: a signal stopped it; the same command continues.
+        """
+        training = self.training
+        folder, settings = training.folder, training.settings
+        own = folder.stage("optim")
+        if own.has_avatar:
+            print(f"optim: finished before, taken from {own.path}")
+            return load_avatar(own.avatar, avatar.body)
+        if settings.trainer.fast_dev_run or is_helper():
+            self._train(avatar)
+            return avatar
+
+        def make() -> None:
+            self._train(avatar)
+            _copy_tables(folder, RunFolder(own.path))
+
+        chosen = settings.evaluation
+        curve = (chosen.curve, chosen.curve_images, chosen.curve_first_second)
+        identity = {"settings": optim_hash(training.planned), "data": training.data_hash, "curve": curve}
+        shared = shared_folder(folder, settings.shared_dir, "optim", identity)
+        made = take_or_make(
+            shared,
+            own.path,
+            own.record,
+            is_whole=own.avatar.is_file,
+            make=make,
+            without=[own.checkpoint.name],
+        )
+        if made is None:
+            return avatar
+        print(f"optim: trained before, taken from {shared}")
+        _copy_tables(RunFolder(own.path), folder)
+        taken = load_avatar(own.avatar, avatar.body)
+        write_gaussians_ply(folder.point_cloud, taken.gaussians)
+        return taken
+
+    def _train(self, avatar: Avatar) -> None:
+        training = self.training
+        settings, renderer = training.planned, training.renderer
+        optim, checkpoint = settings.optim, training.folder.stage("optim").checkpoint
+        training.warm_up("optim")
+        distiller = None
+        if optim.sds.is_used:
+            distiller = Distiller(
+                make_score_prior(asdict(settings.prior), renderer.device),
+                optim.sds,
+                steps=optim.steps,
+                observed_frames=training.observed_frames,
+                body=avatar.body,
+                renderer=renderer,
+                seed=settings.seed,
+            )
+        stage = OptimStage(
+            avatar,
+            optim,
+            perceptual=training.metric if optim.lambda_lpips else None,
+            densifier=training.densifier(optim, optim.lambda_rgb),
+            distiller=distiller,
+            uncertain=training.uncertain,
+            renderer=renderer,
+            seed=settings.seed,
+        )
+        if optim.observed_colors and (settings.trainer.fast_dev_run or not checkpoint.is_file()):
+            stage.clock.restore(start_as_observed(avatar, training.data, renderer))
+        training.train(stage, optim.steps, seconds_before=0.0)
+
+
+def start_as_observed(avatar: Avatar, data: HumanDataModule, renderer: Renderer) -> float:
+    """Gives the Gaussians of a body the colours that the video shows there; returns the seconds that it took.
+
+    Those that hardly any frame shows get the colours of what is seen nearby. Begun grey, they would stay it, and
+    shine through in every frame that hides their like.
+
+    Args:
+        avatar: before training, its Gaussians on the body; changed in place.
+        data: whose training frames.
+        renderer: draws the avatar.
+    """
+    started = time.monotonic()
+    frames = (data.train_frame(k, truth=False) for k in spread(len(data.train_indices), LOOKED_AT))
+    paint_observed(avatar, accumulate(avatar.eval(), frames, renderer, OPACITY))
+    return time.monotonic() - started
+
+
+def _copy_tables(source: RunFolder, target: RunFolder) -> None:
+    """Copies what a stage leaves in the run folder besides its own folder; that is shared with its result."""
+    for table, place in ((source.curve, target.curve), (source.losses, target.losses)):
+        if table.is_file():
+            shutil.copyfile(table, place)

@@ -1,0 +1,313 @@
+"""The first steps of a run: what the data show, what the scene needs of the method, and the objects for that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Protocol
+
+import torch
+
+from occfusion.cpu.processes import is_helper, local_rank
+from occfusion.data import HumanDataModule, OcMotionDataModule, VideoDataModule, ZjuDataModule
+from occfusion.data.sampling import spread
+from occfusion.data.scene_registration import SceneRegistration
+from occfusion.data.synthetic import make_synthetic
+from occfusion.errors import ConfigError
+from occfusion.files.atomic import write_json
+from occfusion.files.run_folder import RunFolder
+from occfusion.human import Avatar, Body, Gaussians, PoseSpline, embedded_body, load_body
+from occfusion.human.coverage import BodyCoverage, cover_body, sighting_of
+from occfusion.human.rendering import Renderer
+from occfusion.human.unblended import without_pose_blend_shapes
+from occfusion.inpaint.build_inpainter import check_inpainter
+from occfusion.observation.frames import ObservedFrame, observe_frames
+from occfusion.observation.key_light import KeyLight, find_key_light
+from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
+from occfusion.plan.decisions import may_leave_out_networks, with_everything
+from occfusion.plan.make import Plan, make_plan, reached_sh_degree
+from occfusion.priors.build_prior import check_score_prior
+from occfusion.run.evaluation import evaluation_metric
+from occfusion.run.folder import claim_run_folder
+from occfusion.run.init import MaskCompletion
+from occfusion.run.optim import Optimisation
+from occfusion.run.refine import Refinement
+from occfusion.run.training import AvatarTraining
+from occfusion.settings.schema import BodySettings, Settings
+from occfusion.stages.targets import UncertainMasks
+
+DATA_MODULES: dict[str, Callable[..., HumanDataModule]] = {
+    "synthetic": make_synthetic, "zju": ZjuDataModule, "ocmotion": OcMotionDataModule, "video": VideoDataModule
+}  # fmt: skip
+"""What reads each `dataset=`; its arguments are the settings of `occfusion.settings.datasets`."""
+COVERAGE_VIEWS = 300
+"""Training views that the body is held against, evenly spread; at 256 px a view takes about 20 ms."""
+REGISTER_SMPL = "register at smpl.is.tue.mpg.de, download the model, and pass body.path=FILE"
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What a data folder shows and the machine offers, before anything is decided.
+
+    Attributes:
+        body: of the data.
+        data: the training and held-out frames, checked; cameras are corrected where that is certain.
+        summary: what was selected and found.
+        registered: whether pictures lie where the cameras say; None where that is not to be measured.
+        frames: what masks and poses say of the training frames; None where nothing depends on it.
+        key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
+        coverage: how well the training frames show the body, place by place; None where no view does.
+        renderer: draws avatars, on the device where the run computes.
+    """
+
+    body: Body
+    data: HumanDataModule
+    summary: dict[str, Any]
+    registered: SceneRegistration | None
+    frames: list[ObservedFrame] | None
+    key_light: KeyLight | None
+    coverage: BodyCoverage | None
+    renderer: Renderer
+
+    @property
+    def data_hash(self) -> str:
+        """The hash of all that is read."""
+        return str(self.summary["hash"])
+
+
+class RunStage(Protocol):
+    """A stage of a run, with all that it needs."""
+
+    def run(self, avatar: Avatar) -> Avatar:
+        """Returns the avatar as this stage leaves it; what is done already is taken over.
+
+        Raises:
+            Interrupted: a signal stopped it; the same command continues.
+        """
+
+
+@dataclass(frozen=True)
+class Run:
+    """The objects of one run.
+
+    Attributes:
+        settings: as the user asked, typed and checked.
+        plan: what the scene needs of them.
+        folder: claimed for this run.
+        data: the training and held-out frames.
+        avatar: untrained.
+        stages: those of the plan, in order.
+        metric: the perceptual metric of the evaluation; None where it asks for none.
+        coverage: how well the training views show the body; None where no view does.
+        renderer: draws avatars.
+    """
+
+    settings: Settings
+    plan: Plan
+    folder: RunFolder
+    data: HumanDataModule
+    avatar: Avatar
+    stages: Sequence[RunStage]
+    metric: PerceptualMetric | None
+    coverage: BodyCoverage | None
+    renderer: Renderer
+
+    def run_stages(self) -> Avatar:
+        """Returns the avatar of the last stage; where none trains it, as it was built.
+
+        Raises:
+            Interrupted: a signal stopped it; the same command continues.
+        """
+        avatar = self.avatar
+        for stage in self.stages:
+            avatar = stage.run(avatar)
+        return avatar
+
+
+# --- observe -----------------------------------------------------------------------------------------------
+
+
+def make_body(settings: BodySettings) -> Body:
+    """Returns the body that the settings name.
+
+    Raises:
+        ConfigError: a licensed body without a file.
+    """
+    if settings.path is not None:
+        body = load_body(settings.path, cut_betas=settings.cut_betas)
+        return body if settings.pose_blend_shapes else without_pose_blend_shapes(body)
+    if settings.name == "anny":
+        return embedded_body()
+    raise ConfigError(
+        f"body={settings.name} needs body.path: {REGISTER_SMPL}; or use dataset=synthetic, which needs none"
+    )
+
+
+def make_data(settings: Settings, body: Body) -> HumanDataModule:
+    """Returns the DataModule that the settings name; nothing but its folder is looked at yet.
+
+    Raises:
+        ConfigError: as the module that it is.
+    """
+    own = settings.dataset
+    options = {field.name: getattr(own, field.name) for field in fields(own)}
+    name = options.pop("name")
+    if name == "synthetic":
+        options["fast_dev_run"] = settings.trainer.fast_dev_run
+    return DATA_MODULES[name](body=body, seed=settings.seed, **options)
+
+
+def observe(settings: Settings) -> Observed:
+    """Opens the data and returns what they show, as far as the settings leave anything to decide by it.
+
+    Raises:
+        OccfusionError: anything about the data that the user can mend.
+    """
+    body = make_body(settings.body)
+    data = make_data(settings, body)
+    data.validate()
+    faces, optim = body.faces.cpu().numpy(), settings.optim
+    registered = data.register(faces) if settings.registration == "auto" else None
+    is_prior_asked = "init" in settings.variant.stages or optim.sds.is_used
+    are_judged = (
+        is_prior_asked
+        or may_leave_out_networks(settings)
+        or optim.hidden.effective_weight < 1.0
+        or optim.key_light
+    )
+    observed_frames = observe_training_frames(data, body) if are_judged else None
+    key_light = None
+    if observed_frames is not None and optim.key_light:
+        key_light = find_key_light(lambda k: data.train_frame(k, truth=False), observed_frames, faces)
+    if observed_frames is not None and settings.plan == "full":
+        observed_frames = with_everything(observed_frames)
+    views = spread(len(data.train_indices), COVERAGE_VIEWS)
+    coverage = cover_body((sighting_of(data.train_frame(k, truth=False), body) for k in views), body)
+    on_gpu = settings.trainer.accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
+    device = torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
+    renderer = Renderer(settings.rasterizer.name, device)
+    return Observed(body, data, data.summary(), registered, observed_frames, key_light, coverage, renderer)
+
+
+def observe_training_frames(data: HumanDataModule, body: Body) -> list[ObservedFrame]:
+    """Returns what masks and poses say of all training frames."""
+    return observe_frames((data.train_frame(k, truth=False) for k in range(len(data.train_indices))), body)
+
+
+# --- decide ------------------------------------------------------------------------------------------------
+
+
+def decide(settings: Settings, observed: Observed) -> Plan:
+    """Returns what the scene needs; the networks that it needs are there.
+
+    Raises:
+        ConfigError: weights or packages of such a network are missing; those of others may be absent.
+    """
+    plan = make_plan(
+        settings,
+        observed.summary,
+        observed.renderer.backend,
+        observed.frames,
+        observed.key_light,
+        observed.registered,
+        observed.renderer.device,
+    )
+    planned = plan.settings
+    if "optim" in plan.stages and planned.optim.sds.is_used:
+        check_score_prior(asdict(planned.prior))
+    if "refine" in plan.stages and planned.refine.references.source == "prior" and plan.inpaints:
+        check_inpainter(asdict(planned.prior), observed.renderer.device)
+    return plan
+
+
+def claim(settings: Settings, observed: Observed, plan: Plan, *, folder_chosen_by_user: bool) -> RunFolder:
+    """Returns the run's own folder, with the plan in it; tells the user of both.
+
+    Raises:
+        ConfigError: the folder that the user named holds another run, or cannot be written.
+    """
+    folder = claim_run_folder(
+        settings,
+        observed.data_hash,
+        chosen_by_user=folder_chosen_by_user,
+        data=observed.summary["taken"],
+    )
+    if not is_helper():
+        seen = None if observed.coverage is None else observed.coverage.json()
+        write_json(folder.plan, plan.json() | {"coverage": seen, "scene": observed.summary})
+        observed.data.store_occlusion(folder.occlusion)
+        _tell("data", observed.data.taken.lines())
+        if observed.coverage is not None:
+            _tell("directions", [observed.coverage.text(), *observed.coverage.warnings()])
+        _tell("plan", [*plan.lines(), f"all decisions: {folder.plan}"])
+    return folder
+
+
+def _tell(heading: str, lines: Sequence[str]) -> None:
+    print("\n".join([heading, *(f"  {line}" for line in lines)]))
+
+
+# --- build -------------------------------------------------------------------------------------------------
+
+
+def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder) -> Run:
+    """Returns the objects of a run.
+
+    Raises:
+        OccfusionError: what the perceptual metric needs is missing.
+    """
+    trained = [getattr(settings, stage) for stage in plan.stages if stage != "init"]
+    training = evaluating = None
+    if settings.evaluation.perceptual or any(stage.lambda_lpips for stage in trained):
+        perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
+        training = perceptual.with_dtype(
+            training_dtype(settings.perceptual.precision, observed.renderer.device)
+        )
+        evaluating = evaluation_metric(settings.evaluation, perceptual)
+    frames = observed.frames or []
+    shared = AvatarTraining(
+        settings=settings,
+        planned=plan.settings,
+        folder=folder,
+        data=observed.data,
+        data_hash=observed.data_hash,
+        observed_frames=frames,
+        uncertain=UncertainMasks.found(frames),
+        metric=training,
+        evaluation_metric=evaluating,
+        renderer=observed.renderer,
+    )
+    masks = MaskCompletion(
+        settings, folder, observed.data, observed.data_hash, frames, observed.renderer.device
+    )
+    known: dict[str, RunStage] = {"init": masks, "optim": Optimisation(shared), "refine": Refinement(shared)}
+    return Run(
+        settings=settings,
+        plan=plan,
+        folder=folder,
+        data=observed.data,
+        avatar=_make_avatar(plan.settings, observed),
+        stages=[known[name] for name in plan.stages],
+        metric=evaluating,
+        coverage=observed.coverage,
+        renderer=observed.renderer,
+    )
+
+
+def _make_avatar(planned: Settings, observed: Observed) -> Avatar:
+    optim, body, sh_degree = planned.optim, observed.body, reached_sh_degree(planned)
+    lamp, knots = None, optim.pose_knots
+    if optim.key_light:
+        assert observed.key_light is not None  # the plan has one only where one was found
+        lamp = torch.from_numpy(observed.key_light.vector).to(body.v_template)
+    return Avatar(
+        body,
+        sh_degree=sh_degree,
+        refine_pose=optim.refine_pose,
+        pose_spline=PoseSpline.over(observed.data.train_indices, knots) if knots else None,
+        learn_skinning=optim.learn_skinning,
+        skinning_every=optim.skinning_every,
+        key_light=lamp,
+        dilation=optim.dilation,
+        gaussians=Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness),
+    )

@@ -1,0 +1,145 @@
+"""The refinement stage of a run: inpaints what is hidden, once, and trains the avatar on."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import torch
+
+from occfusion.data.module import HumanDataModule
+from occfusion.files.run_folder import RunFolder
+from occfusion.human import Avatar, load_avatar
+from occfusion.human.rendering import Renderer
+from occfusion.inpaint.accumulation import accumulate, paint_unseen
+from occfusion.inpaint.build_inpainter import make_inpainter
+from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
+from occfusion.observation.frames import ObservedFrame
+from occfusion.plan.make import refined_sh_degree, steps_of
+from occfusion.run.training import AvatarTraining, training_truths
+from occfusion.settings.schema import Settings
+from occfusion.stages.inpaint import InpaintStage
+from occfusion.stages.references import References
+from occfusion.stages.refine import RefineStage
+from occfusion.stages.targets import Masks
+from occfusion.types import Frame
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Trains the avatar of the optimisation on, with references for what no frame shows.
+
+    Attributes:
+        training: of the run's avatar.
+    """
+
+    training: AvatarTraining
+
+    def run(self, avatar: Avatar) -> Avatar:
+        """Returns the avatar trained on, or that of an earlier call.
+
+        Raises:
+            Interrupted: a signal stopped it; the same command continues.
+        """
+        training = self.training
+        settings, folder, renderer = training.planned, training.folder, training.renderer
+        own, refine = folder.stage("refine"), settings.refine
+        if own.has_avatar:
+            print(f"refine: finished before, taken from {own.path}")
+            return load_avatar(own.avatar, avatar.body)
+        training.warm_up("refine")
+        coarse = hashlib.sha256(folder.stage("optim").avatar.read_bytes()).hexdigest()[:16]
+        references, seconds = make_references(
+            settings, folder, training.data, avatar, training.observed_frames,
+            {"data": training.data_hash, "avatar": coarse}, renderer,
+        )  # fmt: skip
+        is_held = refine.hidden.target == "outline" and refine.hidden.effective_weight > 0
+        outlines = self._outlines(avatar) if is_held else {}
+        avatar.gaussians.allocate_bands(refined_sh_degree(settings))
+        stage = RefineStage(
+            avatar,
+            refine,
+            references,
+            training.uncertain,
+            outlines,
+            perceptual=training.metric if refine.lambda_lpips else None,
+            densifier=training.densifier(refine, refine.lambda_rgb),
+            renderer=renderer,
+            seed=settings.seed,
+            steps_before=steps_of(settings, settings.optim),
+        )
+        training.train(stage, refine.steps, seconds_before=seconds)
+        return avatar
+
+    def _outlines(self, avatar: Avatar) -> Masks:
+        """Returns what the avatar covers by more than half in the frames with a doubt, bool `[H, W]`."""
+        training = self.training
+        avatar.eval()
+        doubtful = [
+            k
+            for k, observed_frame in enumerate(training.observed_frames)
+            if observed_frame.index in training.uncertain.hidden
+        ]
+        frames = (training.data.train_frame(k, truth=False) for k in doubtful)
+        return {frame.index: training.renderer.outline(avatar, frame).cpu().numpy() for frame in frames}
+
+
+def make_references(
+    settings: Settings,
+    folder: RunFolder,
+    data: HumanDataModule,
+    avatar: Avatar,
+    observed_frames: Sequence[ObservedFrame],
+    identity: dict[str, str],
+    renderer: Renderer,
+) -> tuple[References, float]:
+    """Writes the references of a run; returns them and the seconds that it took.
+
+    Args:
+        settings: of the run.
+        folder: of the run.
+        data: with the complete masks.
+        avatar: the coarse avatar; what no frame shows of it is given the colours of what is seen nearby.
+        observed_frames: of all training frames.
+        identity: what the references depend on besides the inpainter: hashes of data and avatar.
+        renderer: draws the avatar; the inpainter runs where it draws.
+
+    Raises:
+        Interrupted: a signal stopped it; what is written stays.
+    """
+    started = time.monotonic()
+    if not any(observed_frame.evidence.occluded for observed_frame in observed_frames):
+        print(f"refine: none of {len(observed_frames)} frames is occluded, none is inpainted")
+        return References(folder.inpainted, frozenset()), 0.0
+
+    def read(position: int) -> Frame:
+        return data.train_frame(position, truth=False, complete=True)
+
+    inpainter, pixels = _make_inpainter(settings, data, renderer.device), settings.refine.references.pixels
+    stage = InpaintStage(
+        inpainter, avatar.eval(), observed_frames, folder.inpainted, identity, renderer, pixels
+    )
+    frames = (data.train_frame(k, truth=False) for k in range(len(observed_frames)))
+    stage.accumulated = accumulate(avatar, frames, renderer)
+    paint_unseen(avatar, stage.accumulated)
+    wanted = stage.wanted
+    if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
+        wanted = [k for k in wanted if k == data.position_at(0)]
+    stage.treat(read, wanted, progress=settings.trainer.enable_progress_bar)
+    seconds = time.monotonic() - started
+    print(
+        f"refine: {len(wanted)} of {len(observed_frames)} frames inpainted in {seconds:.1f} s; {stage.counted}"
+    )
+    return stage.references, seconds
+
+
+def _make_inpainter(settings: Settings, data: HumanDataModule, device: torch.device) -> Inpainter:
+    if settings.refine.references.source == "prior":
+        return make_inpainter(asdict(settings.prior), device)
+    if settings.refine.references.source == "coarse":
+        return CoarsePictures()
+    return TruthPictures(
+        {name: truth.rgb.numpy() for name, truth in training_truths(data, "refine.references")}
+    )

@@ -1,0 +1,200 @@
+"""Training by Lightning: any stage from where a stopped call left off, and what the stages of an avatar share."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+
+from occfusion.cpu.processes import is_helper, tell_helpers
+from occfusion.data.module import HumanDataModule
+from occfusion.errors import ConfigError
+from occfusion.files.atomic import write_json
+from occfusion.files.run_folder import RunFolder
+from occfusion.human import save_avatar, write_gaussians_ply
+from occfusion.human.densify import Densifier
+from occfusion.human.rendering import Renderer
+from occfusion.observation.frames import ObservedFrame
+from occfusion.perceptual import PerceptualMetric
+from occfusion.settings.schema import Settings
+from occfusion.settings.stages import AvatarSettings
+from occfusion.stages.avatar import AvatarStage
+from occfusion.stages.base import Stage
+from occfusion.stages.checkpointing import Checkpointing, resumable
+from occfusion.stages.curve import ErrorCurve
+from occfusion.stages.interruption import Interrupted, SignalGuard
+from occfusion.stages.loggers import Logs, Pictured, Place, make_logs
+from occfusion.stages.parallel import SharedDensification, trainer_options
+from occfusion.stages.progress import ProgressLine
+from occfusion.stages.targets import UncertainMasks
+from occfusion.types import Frame, Rendering, Truth
+
+WARM_UP_SAID = 0.05
+"""Seconds from which on the user is told of the rasteriser's warming up."""
+
+
+def fit(
+    stage: Stage,
+    batches: L.LightningDataModule | Iterable[Any],
+    settings: Settings,
+    folder: RunFolder,
+    checkpoint: Path,
+    *,
+    steps: int,
+    devices: int = 1,
+    measuring: Sequence[L.Callback] = (),
+    pictured: Pictured | None = None,
+) -> int:
+    """Trains a stage; returns how many steps are done.
+
+    Args:
+        stage: what is trained, in place.
+        batches: what it is trained on.
+        settings: of the run: its trainer and its logger.
+        folder: of the run.
+        checkpoint: continued from where there is one, and written.
+        steps: of the stage, unless `trainer.max_steps` has another number.
+        devices: processes that train together.
+        measuring: callbacks that measure; they come before a checkpoint is written.
+        pictured: what loggers get pictures of; None: there are none.
+
+    Raises:
+        Interrupted: a signal stopped it; the same command continues.
+        CheckpointError: the checkpoint is damaged.
+    """
+    chosen, guard, logs = settings.trainer, SignalGuard(), Logs([], [])
+    earlier = None if chosen.fast_dev_run else resumable(checkpoint)
+    progress = chosen.enable_progress_bar and not is_helper()
+    if not is_helper():  # one process alone logs
+        place = Place(folder, stage.name, earlier, is_trial=chosen.fast_dev_run)
+        logs = make_logs(settings.logger, place, asdict(settings), pictured)
+    callbacks: list[L.Callback] = [guard, SharedDensification(), *logs.callbacks, *measuring]
+    if not chosen.fast_dev_run:
+        callbacks.append(Checkpointing(checkpoint, chosen.checkpoint_every))
+    if progress:
+        callbacks.append(ProgressLine())
+    trainer = L.Trainer(
+        accelerator=chosen.accelerator,
+        devices=devices,
+        max_steps=chosen.max_steps or steps,
+        max_epochs=-1,
+        max_time=chosen.max_time,
+        fast_dev_run=chosen.fast_dev_run,
+        logger=logs.loggers or False,
+        enable_checkpointing=False,
+        enable_model_summary=False,
+        enable_progress_bar=progress,
+        callbacks=callbacks,
+        **trainer_options(devices),
+    )
+    with guard:
+        trainer.fit(stage, batches, ckpt_path=earlier, weights_only=True)
+    if guard.received is not None and trainer.global_step < trainer.max_steps:
+        raise Interrupted(guard.received, str(checkpoint))
+    return trainer.global_step
+
+
+@dataclass(frozen=True)
+class AvatarTraining:
+    """What the stages that train an avatar share in a run.
+
+    Attributes:
+        settings: as the user asked.
+        planned: those that training goes by.
+        folder: of the run.
+        data: the training and held-out frames.
+        data_hash: of all that is read.
+        observed_frames: what masks and poses say of the training frames; empty where nothing depends on it.
+        uncertain: where complete masks may be wrong.
+        metric: of the perceptual loss term; None where no stage has it.
+        evaluation_metric: of the error curve; None where it has no perceptual figure.
+        renderer: draws avatars.
+    """
+
+    settings: Settings
+    planned: Settings
+    folder: RunFolder
+    data: HumanDataModule
+    data_hash: str
+    observed_frames: Sequence[ObservedFrame]
+    uncertain: UncertainMasks
+    metric: PerceptualMetric | None
+    evaluation_metric: PerceptualMetric | None
+    renderer: Renderer
+
+    def warm_up(self, name: str) -> None:
+        """Compiles what the first step would wait for, so that a machine's first run trains no longer than others."""
+        started = time.perf_counter()
+        self.renderer.warm_up()
+        seconds = time.perf_counter() - started
+        if seconds >= WARM_UP_SAID:
+            ready = f"rasteriser {self.renderer.backend} ready after {seconds:.1f} s"
+            print(f"{name}: {ready}, before the training clock starts")
+
+    @staticmethod
+    def densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | None:
+        """Returns the densification of a stage; its threshold belongs to a loss whose colour term has weight 1."""
+        return Densifier(settings.densification, loss_scale=lambda_rgb or 1.0) if settings.densify else None
+
+    def train(self, stage: AvatarStage, steps: int, *, seconds_before: float) -> None:
+        """Trains a stage and writes what later stages and users take of it.
+
+        Args:
+            stage: with the avatar, which is trained in place.
+            steps: of the stage.
+            seconds_before: of training that preceded it.
+
+        Raises:
+            Interrupted: a signal stopped it; the same command continues.
+        """
+        settings, data, avatar, own = self.settings, self.data, stage.avatar, self.folder.stage(stage.name)
+
+        def render(frame: Frame) -> Rendering:
+            return self.renderer.frame(avatar, frame)
+
+        def views() -> Mapping[str, Frame]:
+            found = {"training": data.spread_train_frames(1), "held_out": data.spread_test_frames(1)}
+            return {name: frames[0] for name, frames in found.items() if frames}
+
+        measuring = []
+        if settings.evaluation.curve and not is_helper():
+            frames = data.spread_test_frames(settings.evaluation.curve_images)
+            first = settings.evaluation.curve_first_second
+            measuring.append(ErrorCurve(self.folder.curve, frames, render, first, self.evaluation_metric))
+        tell_helpers(self.folder.path)
+        avatar.train()
+        done = fit(
+            stage, data, settings, self.folder, own.checkpoint, steps=steps,
+            devices=settings.trainer.devices, measuring=measuring, pictured=Pictured(views, render),
+        )  # fmt: skip
+        if is_helper():
+            return
+        save_avatar(own.avatar, avatar.eval())
+        write_gaussians_ply(self.folder.point_cloud, avatar.gaussians)
+        pose, seconds = data.pose(data.train_indices[0]), seconds_before + stage.clock.seconds
+        first_pose = {"betas": pose.betas.tolist(), "body_pose": pose.body_pose.tolist()}
+        # last, for it says "done"
+        write_json(own.record, {"train_seconds": seconds, "steps": done, "first_pose": first_pose})
+
+
+def training_truths(data: HumanDataModule, group: str) -> Iterator[tuple[str, Truth]]:
+    """Yields names and truth of all training frames.
+
+    Args:
+        data: the training frames.
+        group: of the settings whose `source=truth` asks for them.
+
+    Raises:
+        ConfigError: the data set does not know what is hidden.
+    """
+    for frame in data.train_frames():
+        if frame.truth is None:
+            raise ConfigError(
+                f"{group}.source=truth: this data set does not know what is hidden in {frame.name}; use "
+                f"{group}.source=prior"
+            )
+        yield frame.name, frame.truth
