@@ -19,6 +19,7 @@ OTHERS = {
     ("cli/train.py", "config.yaml"): "the package's own configuration, which Hydra reads",
     ("compare/page.py", "report.md"): "of a comparison, in a folder of its own",
     ("cli/report.py", "report.md"): "of a comparison, in a folder of its own",
+    ("settings/schema.py", "error_vs_time.csv"): "what a setting is for, as its page says it",
     ("data/occluders.py", "manifest.json"): "of a stored occlusion, a layout of data",
 }
 
