@@ -19,7 +19,9 @@ OTHERS = {
     ("cli/train.py", "config.yaml"): "the package's own configuration, which Hydra reads",
     ("compare/page.py", "report.md"): "of a comparison, in a folder of its own",
     ("cli/report.py", "report.md"): "of a comparison, in a folder of its own",
-    ("settings/schema.py", "error_vs_time.csv"): "what a setting is for, as its page says it",
+    ("settings/schema.py", "error_vs_time.csv"): "a sentence of the page of settings",
+    ("settings/schema.py", "metrics.json"): "a sentence of the page of settings",
+    ("settings/schema.py", "plan.json"): "a sentence of the page of settings",
     ("data/occluders.py", "manifest.json"): "of a stored occlusion, a layout of data",
 }
 
