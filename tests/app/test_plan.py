@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from app.test_config import settings_of
+from occfusion.human.observability import Observability, ObservedSurface
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import HIDDEN_SHARE, Evidence
 from occfusion.observation.frames import ObservedFrame
@@ -316,3 +317,41 @@ def test_the_plan_is_told_in_a_few_lines() -> None:
     lines = made(settings_of(), frames(*[0.5] * 8, *[0.0] * 12)).lines()
     assert lines[0] == "stages: init, optim, refine" and 3 <= len(lines) <= 6
     assert any(line.startswith("pose refinement: no; ") for line in lines)
+
+
+def surface_of(ignorance: float) -> ObservedSurface:
+    nothing = np.zeros((2, 3, 3))
+    places = np.zeros(2)
+    known = Observability(nothing, nothing, np.zeros((2, 3)), places, places, places > 0)
+    return ObservedSurface(known, ignorance, places, 0.01)
+
+
+def planned_for(surface: ObservedSurface | None, *overrides: str) -> planning.Plan:
+    return planning.make_plan(
+        settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), LAMP, surface=surface
+    )
+
+
+@pytest.mark.parametrize(
+    ("overrides", "ignorance", "closes"),
+    [
+        ((), 0.8, True),
+        ((), 0.01, False),  # seen from all round
+        ((), None, False),  # the body is in no frame
+        (("plan=full",), 0.01, True),
+        (("recipe=paper",), 0.8, False),
+    ],
+)
+def test_the_surface_is_closed_where_the_video_leaves_it_open(overrides, ignorance, closes):
+    plan = planned_for(None if ignorance is None else surface_of(ignorance), *overrides)
+    found = {d.part: d.used for d in plan.decisions}
+    assert found["surface prior"] is found["surface prior in refine"] is closes
+    assert plan.settings.optim.surface.is_used is plan.settings.refine.surface.is_used is closes
+    assert any(line.startswith("surface prior: ") for line in plan.lines())
+
+
+def test_weights_of_one_stage_say_nothing_of_the_other():
+    off = [f"optim.surface.{name}=0" for name in ("depth", "extent", "outline", "backface")]
+    plan = planned_for(surface_of(0.8), *off)
+    assert not plan.settings.optim.surface.is_used and plan.settings.refine.surface.is_used
+    assert optim_hash(plan.settings) != optim_hash(planned_for(surface_of(0.8)).settings)

@@ -76,11 +76,16 @@ class Coverage:
         looks: sum of the looks at each place, `[V]`.
         spread: degrees about their mean direction within which `MOST` of the looks at a place lie, `[V]`; NaN where
             it was not seen.
+        moments: weighted mean of d d^t over the looks, d the unit direction to the camera in the frame of the place
+            (`surface_frames`), `[V, 3, 3]`; of trace 1, zero where it was not seen.
+        passes: the same over all views alike, whether they show the place or not: from where its outline was seen.
     """
 
     views: int
     looks: Floats
     spread: Floats
+    moments: Floats
+    passes: Floats
 
     @property
     def classes(self) -> NDArray[np.int8]:
@@ -104,9 +109,12 @@ def cover(sightings: Iterable[Sighting], faces: NDArray[np.integer]) -> Coverage
         directions.append(direction.astype(np.float32))
     if not weights:
         return None
-    all_weights: NDArray[np.float32] = np.stack(weights)
-    spread = _spread(all_weights, np.stack(directions))
-    return Coverage(len(weights), all_weights.sum(axis=0, dtype=np.float64), spread)
+    weight, direction = np.stack(weights), np.stack(directions)
+    total = weight.sum(axis=0, dtype=np.float64)
+    moments = np.einsum("tv,tvi,tvj->vij", weight, direction, direction, dtype=np.float64)
+    moments /= np.maximum(total, 1e-12)[:, None, None]
+    passes = np.einsum("tvi,tvj->vij", direction, direction, dtype=np.float64) / len(weights)
+    return Coverage(len(weights), total, _spread(weight, direction), moments, passes)
 
 
 def looks(sighting: Sighting, faces: NDArray[np.integer]) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from occfusion.data.scene_registration import SceneRegistration
 from occfusion.files.run_folder import STAGES
+from occfusion.human.observability import ObservedSurface
 from occfusion.observation.evidence import FITTING, HIDDEN_SHARE
 from occfusion.observation.frames import ObservedFrame, misfit_of, poses_fit
 from occfusion.observation.key_light import KeyLight
@@ -28,6 +29,10 @@ LIT = 0.1
 DETERMINED = 50.0
 """Condition up to which the frames tell where a lamp is; embedded scenes have 4 to 8
 (docs/experiments/015-key-light.md)."""
+
+
+TURNED = 0.02
+"""Mean ignorance of the surface below which the terms that close it would say nothing."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +160,18 @@ def key_light_decision(settings: Settings, found: KeyLight | None) -> Decision:
         return Decision(part, False, f"{reason}; the frames do not tell where it is")
     used = found.explained >= LIT or settings.plan == "full"
     return Decision(part, used, reason if used else f"{reason}; {LIT:.0%} would be worth it")
+
+
+def surface_decision(settings: Settings, stage: str, surface: ObservedSurface | None) -> Decision:
+    """Returns whether a stage closes the surface where the video does not tell: where that is anywhere."""
+    own: AvatarSettings = getattr(settings, stage)
+    part = "surface prior" if stage == "optim" else f"surface prior in {stage}"
+    if not own.surface.is_used:
+        return Decision(part, False, f"all weights of {stage}.surface are 0")
+    if surface is None:
+        return Decision(part, False, "no training frame shows the body")
+    reason = f"the video leaves {surface.ignorance:.0%} of the body's surface open, on average over places"
+    return Decision(part, surface.ignorance >= TURNED or settings.plan == "full", reason)
 
 
 def may_leave_out_networks(settings: Settings) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from occfusion.data.scene_registration import SceneRegistration
+from occfusion.human.observability import ObservedSurface
 from occfusion.observation.frames import ObservedFrame
 from occfusion.observation.key_light import KeyLight
 from occfusion.perceptual import training_dtype
@@ -31,9 +32,10 @@ from occfusion.plan.decisions import (
     sds_decisions,
     stage_decisions,
     start_decision,
+    surface_decision,
 )
 from occfusion.settings.schema import Settings, stages_to_run
-from occfusion.settings.stages import AvatarSettings, HiddenSettings
+from occfusion.settings.stages import AvatarSettings, HiddenSettings, SurfaceSettings
 
 
 @dataclass(frozen=True)
@@ -74,11 +76,14 @@ TOLD = (
     "complete masks",
     "pose refinement",
     "key light",
+    "surface prior",
     "densification in the refinement",
 )
 """Parts whose decision a user wants to see at once; `plan.json` has them all."""
 TOLD_IF_NOT = TOLD[1:]
 """Those of them that are told also where they are not used."""
+
+NO_SURFACE = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0)
 
 
 def make_plan(
@@ -88,6 +93,7 @@ def make_plan(
     observed_frames: Sequence[ObservedFrame] | None = None,
     key_light: KeyLight | None = None,
     registered: SceneRegistration | None = None,
+    surface: ObservedSurface | None = None,
     device: torch.device | None = None,
 ) -> Plan:
     """Returns the plan of a run, from its settings and from what the data folder showed.
@@ -99,6 +105,7 @@ def make_plan(
         observed_frames: what masks and poses say of the training frames; None where nothing depends on it.
         key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
         registered: whether pictures lie where the cameras say; None where that was not measured.
+        surface: what the video says of the body's surface; None where no frame shows it or nothing depends on it.
         device: where the run computes; the CPU when None.
     """
     optim, refine = settings.optim, settings.refine
@@ -115,11 +122,13 @@ def make_plan(
     networks = network_decisions(settings, observed_frames)
     lamp = key_light_decision(settings, key_light)
     start = start_decision(settings)
+    closed, refined_closed = (surface_decision(settings, stage, surface) for stage in ("optim", "refine"))
     rounds = densification_decision("optim", optim, steps_of(settings, optim))
     refined_rounds = densification_decision("refine", refine, steps_of(settings, refine))
     effective = _effective(
-        settings, hidden, is_deferred, distillation, networks, lamp, start, rounds, refined_rounds
-    )
+        settings, hidden, is_deferred, distillation, networks, lamp, start, closed, refined_closed, rounds,
+        refined_rounds,
+    )  # fmt: skip
 
     plan = [registration_decision(registered), *stages, mask_decision(settings, observed_frames), inpainting]
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
@@ -140,13 +149,13 @@ def make_plan(
     plan += [*networks, lamp, start]
     reason = f"optim.observed_colors = {optim.observed_colors}"
     plan.append(Decision("colours of the video at the start", optim.observed_colors, reason))
-    plan.append(rounds)
+    plan += [closed, rounds]
     if is_refined:
         plan += _term_decisions("refine", refine, ("rgb", "mask"))
         plan.append(hidden_mask_decision("refine", settings, hidden[1], observed_frames))
         plan.append(generated_decision(settings, observed_frames))
         plan += _term_decisions("refine", refine, ("ssim", "lpips"))
-        plan.append(refined_rounds)
+        plan += [refined_closed, refined_rounds]
     plan.append(Decision("pixels outside the person's padded box", False, box_reason(observed_frames)))
     plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
     plan += precision_decisions(settings, plan, device or torch.device("cpu"))
@@ -161,6 +170,8 @@ def _effective(
     networks: Sequence[Decision],
     lamp: Decision,
     start: Decision,
+    closed: Decision,
+    refined_closed: Decision,
     rounds: Decision,
     refined_rounds: Decision,
 ) -> Settings:
@@ -184,8 +195,14 @@ def _effective(
         key_light=lamp.used,
         densify=rounds.used,
         lambda_lpips=0.0 if is_deferred else asked.lambda_lpips,
+        surface=asked.surface if closed.used else NO_SURFACE,
     )
-    refine = replace(settings.refine, hidden=hidden[1], densify=refined_rounds.used)
+    refine = replace(
+        settings.refine,
+        hidden=hidden[1],
+        densify=refined_rounds.used,
+        surface=settings.refine.surface if refined_closed.used else NO_SURFACE,
+    )
     return replace(settings, optim=optim, refine=refine)
 
 

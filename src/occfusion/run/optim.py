@@ -99,6 +99,7 @@ class Optimisation:
             optim,
             perceptual=training.metric if optim.lambda_lpips else None,
             densifier=training.densifier(optim, optim.lambda_rgb),
+            surface=training.surface_prior(optim, avatar),
             distiller=distiller,
             uncertain=training.uncertain,
             renderer=renderer,

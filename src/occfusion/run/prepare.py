@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 
 from occfusion.cpu.processes import is_helper, local_rank
@@ -18,6 +19,7 @@ from occfusion.files.atomic import write_json
 from occfusion.files.run_folder import RunFolder
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline, embedded_body, load_body
 from occfusion.human.coverage import BodyCoverage, cover_body, sighting_of
+from occfusion.human.observability import ObservedSurface, observe_surface
 from occfusion.human.rendering import Renderer
 from occfusion.human.unblended import without_pose_blend_shapes
 from occfusion.inpaint.build_inpainter import check_inpainter
@@ -27,6 +29,7 @@ from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dty
 from occfusion.plan.decisions import may_leave_out_networks, with_everything
 from occfusion.plan.make import Plan, make_plan, reached_sh_degree
 from occfusion.priors.build_prior import check_score_prior
+from occfusion.priors.calibration import measure_thickness
 from occfusion.run.evaluation import evaluation_metric
 from occfusion.run.folder import claim_run_folder
 from occfusion.run.init import MaskCompletion
@@ -42,6 +45,8 @@ DATA_MODULES: dict[str, Callable[..., HumanDataModule]] = {
 """What reads each `dataset=`; its arguments are the settings of `occfusion.settings.datasets`."""
 COVERAGE_VIEWS = 300
 """Training views that the body is held against, evenly spread; at 256 px a view takes about 20 ms."""
+THICKNESS_VIEWS = 60
+"""Training views in which outlines of clothes are held against the body's, evenly spread."""
 REGISTER_SMPL = "register at smpl.is.tue.mpg.de, download the model, and pass body.path=FILE"
 
 
@@ -57,6 +62,7 @@ class Observed:
         frames: what masks and poses say of the training frames; None where nothing depends on it.
         key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
         coverage: how well the training frames show the body, place by place; None where no view does.
+        surface: what they say of its surface; None where no view shows it or nothing depends on it.
         renderer: draws avatars, on the device where the run computes.
     """
 
@@ -67,6 +73,7 @@ class Observed:
     frames: list[ObservedFrame] | None
     key_light: KeyLight | None
     coverage: BodyCoverage | None
+    surface: ObservedSurface | None
     renderer: Renderer
 
     @property
@@ -169,8 +176,10 @@ def observe(settings: Settings) -> Observed:
     faces, optim = body.faces.cpu().numpy(), settings.optim
     registered = data.register(faces) if settings.registration == "auto" else None
     is_prior_asked = "init" in settings.variant.stages or optim.sds.is_used
+    is_closed = optim.surface.is_used or settings.refine.surface.is_used
     are_judged = (
-        is_prior_asked
+        is_closed
+        or is_prior_asked
         or may_leave_out_networks(settings)
         or optim.hidden.effective_weight < 1.0
         or optim.key_light
@@ -183,10 +192,31 @@ def observe(settings: Settings) -> Observed:
         observed_frames = with_everything(observed_frames)
     views = spread(len(data.train_indices), COVERAGE_VIEWS)
     coverage = cover_body((sighting_of(data.train_frame(k, truth=False), body) for k in views), body)
+    surface = None
+    if is_closed and coverage is not None and observed_frames is not None:
+        surface = _observe_surface(data, body, coverage, observed_frames)
     on_gpu = settings.trainer.accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
     device = torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
     renderer = Renderer(settings.rasterizer.name, device)
-    return Observed(body, data, data.summary(), registered, observed_frames, key_light, coverage, renderer)
+    return Observed(
+        body, data, data.summary(), registered, observed_frames, key_light, coverage, surface, renderer
+    )
+
+
+def _observe_surface(
+    data: HumanDataModule, body: Body, coverage: BodyCoverage, observed_frames: Sequence[ObservedFrame]
+) -> ObservedSurface:
+    vertices, faces = body.da_vertices().cpu().numpy(), body.faces.cpu().numpy()
+    known = observe_surface(coverage.coverage, vertices, faces)
+    chosen = spread(len(observed_frames), THICKNESS_VIEWS)
+    thickness = measure_thickness(
+        [observed_frames[k] for k in chosen], lambda k: data.train_frame(chosen[k], truth=False), body
+    )
+    focal = float(data.train_frame(0, truth=False).camera.K[0, 0])
+    depth = float(np.median([np.median(frame.projected.depths) for frame in observed_frames]))
+    return ObservedSurface(
+        known, float(np.average(known.ignorance, weights=coverage.areas)), thickness, depth / focal
+    )
 
 
 def observe_training_frames(data: HumanDataModule, body: Body) -> list[ObservedFrame]:
@@ -210,6 +240,7 @@ def decide(settings: Settings, observed: Observed) -> Plan:
         observed.frames,
         observed.key_light,
         observed.registered,
+        observed.surface,
         observed.renderer.device,
     )
     planned = plan.settings
@@ -273,6 +304,7 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         data_hash=observed.data_hash,
         observed_frames=frames,
         uncertain=UncertainMasks.found(frames),
+        surface=observed.surface,
         metric=training,
         evaluation_metric=evaluating,
         renderer=observed.renderer,

@@ -66,6 +66,7 @@ class Refinement:
             outlines,
             perceptual=training.metric if refine.lambda_lpips else None,
             densifier=training.densifier(refine, refine.lambda_rgb),
+            surface=training.surface_prior(refine, avatar),
             renderer=renderer,
             seed=settings.seed,
             steps_before=steps_of(settings, settings.optim),

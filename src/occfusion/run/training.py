@@ -15,8 +15,9 @@ from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.files.run_folder import RunFolder
-from occfusion.human import save_avatar, write_gaussians_ply
+from occfusion.human import Avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
+from occfusion.human.observability import CanonicalView, ObservedSurface, canonical_views
 from occfusion.human.rendering import Renderer
 from occfusion.observation.frames import ObservedFrame
 from occfusion.perceptual import PerceptualMetric
@@ -30,6 +31,7 @@ from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.loggers import Logs, Pictured, Place, make_logs
 from occfusion.stages.parallel import SharedDensification, trainer_options
 from occfusion.stages.progress import ProgressLine
+from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import UncertainMasks
 from occfusion.types import Frame, Rendering, Truth
 
@@ -110,6 +112,7 @@ class AvatarTraining:
         data_hash: of all that is read.
         observed_frames: what masks and poses say of the training frames; empty where nothing depends on it.
         uncertain: where complete masks may be wrong.
+        surface: what the video says of the body's surface; None where nothing depends on it.
         metric: of the perceptual loss term; None where no stage has it.
         evaluation_metric: of the error curve; None where it has no perceptual figure.
         renderer: draws avatars.
@@ -122,6 +125,7 @@ class AvatarTraining:
     data_hash: str
     observed_frames: Sequence[ObservedFrame]
     uncertain: UncertainMasks
+    surface: ObservedSurface | None
     metric: PerceptualMetric | None
     evaluation_metric: PerceptualMetric | None
     renderer: Renderer
@@ -139,6 +143,17 @@ class AvatarTraining:
     def densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | None:
         """Returns the densification of a stage; its threshold belongs to a loss whose colour term has weight 1."""
         return Densifier(settings.densification, loss_scale=lambda_rgb or 1.0) if settings.densify else None
+
+    def surface_prior(self, settings: AvatarSettings, avatar: Avatar) -> SurfacePrior | None:
+        """Returns what closes an avatar's surface in a stage; None where the plan leaves that out."""
+        chosen, observed = settings.surface, self.surface
+        if not chosen.is_used or observed is None:
+            return None
+        views: list[CanonicalView] = []
+        if chosen.are_views_used:
+            vertices, faces = avatar.da_vertices.cpu().numpy(), avatar.body.faces.cpu().numpy()
+            views = canonical_views(vertices, faces, observed.known, observed.thickness, observed.pixel)
+        return SurfacePrior(observed.known, views, chosen, renderer=self.renderer, seed=self.settings.seed)
 
     def train(self, stage: AvatarStage, steps: int, *, seconds_before: float) -> None:
         """Trains a stage and writes what later stages and users take of it.

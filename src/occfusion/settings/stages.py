@@ -178,6 +178,38 @@ class ReferenceSettings:
 
 
 @dataclass
+class SurfaceSettings:
+    """What holds Gaussians to the body where the video leaves them free; weights in multiples of `lambda_rgb`.
+
+    What was seen from many directions is left alone. The paper has none of it.
+    """
+
+    depth: float = setting(
+        0.05, "weight of how far Gaussians stand off the body along the one direction they were seen from", 0
+    )
+    extent: float = setting(0.02, "weight of how far they reach along it", 0)
+    outline: float = setting(
+        1.0, "weight of holes and spills in views from sides that no frame shows; 0: no such view is drawn", 0
+    )
+    backface: float = setting(
+        1.0, "weight of what shines through from the body's other side where no frame shows it", 0
+    )
+    every: int = setting(
+        4, "steps from one such view to the next, which then has that many times the weight", 1, 10_000
+    )
+
+    @property
+    def is_used(self) -> bool:
+        """Whether any term has a weight."""
+        return self.depth > 0 or self.extent > 0 or self.are_views_used
+
+    @property
+    def are_views_used(self) -> bool:
+        """Whether views from other sides are drawn."""
+        return self.outline > 0 or self.backface > 0
+
+
+@dataclass
 class AvatarSettings:
     """What the stages that train an avatar have in common: weights, schedules and rates.
 
@@ -197,6 +229,7 @@ class AvatarSettings:
     )
     perceptual_crop: int = setting(128, "side of its random crop, pixels", 32, 2048)
     hidden: HiddenSettings = field(default_factory=HiddenSettings)
+    surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     sh_degree: int = setting(1, "highest band of spherical harmonics", 0, 3)
     sh_every: int = setting(1000, "steps from one band to the next, counted over all stages", 1, MANY)
     densify: bool = setting(False, "whether Gaussians are added, joined and removed")

@@ -17,6 +17,7 @@ from occfusion.human.rendering import Renderer
 from occfusion.perceptual import PerceptualMetric, random_crop_box
 from occfusion.settings.stages import AvatarSettings
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
+from occfusion.stages.surface import SurfacePrior
 from occfusion.types import Box, Camera, Frame, Rendering
 
 BOX_PADDING = 8
@@ -38,6 +39,7 @@ class AvatarStage(Stage):
         renderer: draws the avatar.
         seed: decides the perceptual crops, step by step.
         steps_before: of earlier stages: rates and SH bands follow the count of all steps, densification its own.
+        surface: what closes the surface where the video does not tell; None: nothing does.
     """
 
     def __init__(
@@ -50,6 +52,7 @@ class AvatarStage(Stage):
         renderer: Renderer,
         seed: int,
         steps_before: int = 0,
+        surface: SurfacePrior | None = None,
     ) -> None:
         super().__init__()
         self.avatar = avatar
@@ -60,6 +63,7 @@ class AvatarStage(Stage):
         self._renderer = renderer
         self.seed = seed
         self.steps_before = steps_before
+        self.surface = surface
         self._frame_name = ""
         self._screen_offsets: Tensor | None = None
         self._radii: Tensor | None = None
@@ -77,6 +81,8 @@ class AvatarStage(Stage):
 
     def weight(self, name: str) -> float:
         """Returns the weight of a term; every k-th step at k times the weight leaves the expected gradient as it is."""
+        if self.surface is not None and name.startswith("surface_"):
+            return self._schedule.lambda_rgb * self.surface.weight(name)
         weight = self._schedule.term_weights()[name]
         return weight * self._schedule.perceptual_every if name == "lpips" else weight
 
@@ -100,6 +106,8 @@ class AvatarStage(Stage):
         self._frame_name = frame.name
         rendering, box = self._render_crop(frame)
         terms = self.terms(frame, rendering, box)
+        if self.surface is not None:
+            terms = {**terms, **self.surface.terms(self.avatar, self.global_step)}
         check_finite_terms(terms, self.name, self.global_step, frame.name)
         # a frame may have no term at all, of which backward could not be called
         nothing = 0.0 * rendering.alpha.sum()

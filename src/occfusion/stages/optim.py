@@ -15,6 +15,7 @@ from occfusion.quality import losses
 from occfusion.settings.stages import OptimSettings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.distil import Distiller
+from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import Target, UncertainMasks, crop_frame, mask_weights
 from occfusion.types import Box, Frame, Rendering
 
@@ -33,6 +34,7 @@ class OptimStage(AvatarStage):
         uncertain: where complete masks may be wrong; asked only where `settings.hidden` counts them less than fully.
         renderer: draws the avatar.
         seed: decides the perceptual crops, step by step.
+        surface: what closes the surface where the video does not tell; None: nothing does.
     """
 
     name = "optim"
@@ -48,10 +50,12 @@ class OptimStage(AvatarStage):
         uncertain: UncertainMasks | None = None,
         renderer: Renderer,
         seed: int,
+        surface: SurfacePrior | None = None,
     ) -> None:
         super().__init__(
-            avatar, settings, perceptual=perceptual, densifier=densifier, renderer=renderer, seed=seed
-        )
+            avatar, settings, perceptual=perceptual, densifier=densifier, renderer=renderer, seed=seed,
+            surface=surface,
+        )  # fmt: skip
         self.settings = settings
         self.distiller = distiller
         self.uncertain = uncertain or UncertainMasks()

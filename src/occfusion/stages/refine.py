@@ -13,6 +13,7 @@ from occfusion.quality import losses
 from occfusion.settings.stages import RefineSettings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.references import References
+from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import Masks, UncertainMasks, crop_frame, mask_weights, with_outline
 from occfusion.types import Box, Frame, Rendering
 
@@ -32,6 +33,7 @@ class RefineStage(AvatarStage):
         renderer: draws the avatar.
         seed: decides the perceptual crops, step by step.
         steps_before: of the optimisation stage.
+        surface: what closes the surface where the video does not tell; None: nothing does.
     """
 
     name = "refine"
@@ -49,10 +51,11 @@ class RefineStage(AvatarStage):
         renderer: Renderer,
         seed: int,
         steps_before: int,
+        surface: SurfacePrior | None = None,
     ) -> None:
         super().__init__(
             avatar, settings, perceptual=perceptual, densifier=densifier, renderer=renderer, seed=seed,
-            steps_before=steps_before,
+            steps_before=steps_before, surface=surface,
         )  # fmt: skip
         self.settings = settings
         self.references = references

@@ -1,0 +1,203 @@
+"""What a video says of a body's surface, direction by direction; and views of the surface where it says nothing.
+
+A picture tells where a place lies across the line of sight and nothing of where it lies along it. Seen from one side
+alone, a Gaussian may stand anywhere on its line, be as long as it likes along it, and be transparent from behind.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from occfusion.geometry.camera import orbit_camera, project_vertices
+from occfusion.geometry.coverage import SEEN, Coverage, surface_frames
+from occfusion.geometry.distance import nearest_set, signed_distance
+from occfusion.geometry.normals import vertex_normals
+from occfusion.geometry.zbuffer import NO_FACE, rasterize_mesh
+from occfusion.types import Camera
+
+Floats = NDArray[np.float64]
+
+HALF_ANGLE = 20.0
+"""Degrees about a line by which looks spread (root mean square) when the place along it counts as half known."""
+KNOWN_LOOKS = 3.0
+"""Sum of looks (`geometry.coverage`) at which a place counts as half seen."""
+ANGLES = 24
+"""Canonical views, evenly round the body."""
+DISTANCE = 3.0
+"""Metres from the camera of a canonical view to the body: about as far as people are filmed from."""
+MARGIN = 0.005
+"""Metres beyond the clothes that an outline may reach."""
+REACH = 0.25
+"""Metres outside the body within which nothing may be drawn; farther off, few rays would be spent well."""
+AWAY = -0.1
+"""Cosine of normal and line of sight below which a place faces away from a canonical view."""
+
+
+@dataclass(frozen=True)
+class Observability:
+    """What a video says of each place of a surface in its canonical pose.
+
+    Attributes:
+        moments: mean of d d^t over the looks at a place, d the unit direction to the camera, `[V, 3, 3]`.
+        passes: the same over all views: an outline is seen of places that face away too.
+        axis: the direction of which the video says least, `[V, 3]`: the mean line of sight; of places that no frame
+            shows, the normal.
+        ignorance: how little it says of it, `[V]`, 0 seen from all round .. 1 from one direction, or not at all.
+        unseen: `[V]`, 0 seen often .. 1 never.
+        is_seen: bool `[V]`.
+    """
+
+    moments: Floats
+    passes: Floats
+    axis: Floats
+    ignorance: Floats
+    unseen: Floats
+    is_seen: NDArray[np.bool_]
+
+    def outline_ignorance(self, direction: Floats) -> Floats:
+        """Returns how little masks say of where the outline at each place ends along a unit direction `[3]`, `[V]`.
+
+        0: it was seen from across that direction, from whichever side; 1: only along it.
+        """
+        return _ignorance(1.0 - np.einsum("i,vij,j->v", direction, self.passes, direction))
+
+
+def observe_surface(
+    coverage: Coverage, vertices: NDArray[np.floating], faces: NDArray[np.integer]
+) -> Observability:
+    """Returns what views say of each place of a surface.
+
+    Args:
+        coverage: of the same places.
+        vertices: in the canonical pose, `[V, 3]`, metres.
+        faces: triangles, `[F, 3]`, corners counter-clockwise from outside.
+    """
+    points = vertices.astype(np.float64)
+    frames = surface_frames(points, faces)
+    moments, passes = (
+        np.einsum("vki,vkl,vlj->vij", frames, found, frames) for found in (coverage.moments, coverage.passes)
+    )
+    spreads, axes = np.linalg.eigh(moments)
+    is_seen = coverage.looks >= SEEN
+    axis = np.where(is_seen[:, None], axes[:, :, 2], vertex_normals(points, faces))
+    ignorance = np.where(is_seen, _ignorance(1.0 - spreads[:, 2]), 1.0)
+    return Observability(
+        moments, passes, axis, ignorance, 1.0 / (1.0 + (coverage.looks / KNOWN_LOOKS) ** 2), is_seen
+    )
+
+
+def _ignorance(across: Floats) -> Floats:
+    """Returns how little looks say of a direction, from the mean squared sine of their angles to it."""
+    half = math.sin(math.radians(HALF_ANGLE)) ** 2
+    return np.asarray(1.0 / (1.0 + (np.maximum(across, 0.0) / half) ** 2))
+
+
+@dataclass(frozen=True)
+class ObservedSurface:
+    """A body's surface as a video shows it.
+
+    Attributes:
+        known: what it says of each place.
+        ignorance: mean of that of all places by their area, 0..1.
+        thickness: how far clothes stand off at each place, `[V]`, metres.
+        pixel: metres that a pixel of the video covers at the person.
+    """
+
+    known: Observability
+    ignorance: float
+    thickness: Floats
+    pixel: float
+
+
+@dataclass(frozen=True)
+class CanonicalView:
+    """The body in its canonical pose from one side, and what an avatar may show there.
+
+    Attributes:
+        camera: of the picture.
+        body: 1 where the body is, 0 outside, `[H, W]`.
+        weight: how much a pixel counts: where the video itself says little of the outline from here, and neither
+            clothes nor the body's edge leave it open; 0..1, `[H, W]`.
+        unseen: how far the place of the body that a pixel shows was never seen, 0..1, `[H, W]`; 0 outside.
+        is_away: vertices that face away from the camera, 0 or 1, `[V]`.
+    """
+
+    camera: Camera
+    body: Tensor
+    weight: Tensor
+    unseen: Tensor
+    is_away: Tensor
+
+
+def canonical_views(
+    vertices: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    known: Observability,
+    thickness: Floats,
+    pixel: float,
+) -> list[CanonicalView]:
+    """Returns the body from `ANGLES` sides.
+
+    Args:
+        vertices: in the canonical pose, `[V, 3]`, metres.
+        faces: triangles, `[F, 3]`.
+        known: of the same places.
+        thickness: how far clothes stand off at each place, `[V]`, metres.
+        pixel: metres that a pixel is to cover.
+    """
+    points = vertices.astype(np.float64)
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = float(np.linalg.norm(points - middle, axis=1).max()) + REACH
+    field_of_view = 2.0 * math.atan(radius / DISTANCE)
+    size = math.ceil(2.0 * radius / pixel)
+    normals = vertex_normals(points, faces)
+    return [
+        _canonical_view(points, faces, normals, known, thickness, camera, pixel)
+        for camera in (
+            orbit_camera(torch.from_numpy(middle), 2.0 * math.pi * k / ANGLES, DISTANCE, field_of_view, size)
+            for k in range(ANGLES)
+        )
+    ]
+
+
+def _canonical_view(
+    points: Floats,
+    faces: NDArray[np.integer],
+    normals: Floats,
+    known: Observability,
+    thickness: Floats,
+    camera: Camera,
+    pixel: float,
+) -> CanonicalView:
+    viewmat = camera.viewmat.numpy()
+    pixels, depths = project_vertices(points, viewmat, camera.K.numpy())
+    seen = rasterize_mesh(pixels, depths, faces, camera.width, camera.height)
+    body = seen.face != NO_FACE
+    corner = faces[
+        seen.face, seen.barycentrics.argmax(axis=2)
+    ]  # nonsense where there is no face, never read there
+    vertex = corner.ravel()[nearest_set(body)]
+    inside = (signed_distance(body) + np.where(body, -0.5, 0.5)) * pixel  # which runs between two pixels
+    weight = known.outline_ignorance(viewmat[0, :3])[vertex]
+    is_certain = (inside > 0.5 * pixel) | (
+        inside < -(np.maximum(thickness, 0.0) + MARGIN)[vertex] - 0.5 * pixel
+    )
+    towards = camera.centre.numpy() - points
+    cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
+
+    def picture(values: NDArray[np.generic]) -> Tensor:
+        return torch.from_numpy(values.astype(np.float32))
+
+    return CanonicalView(
+        Camera(camera.viewmat.float(), camera.K.float(), camera.width, camera.height),
+        picture(body),
+        picture(np.where(is_certain & (inside > -REACH), weight, 0.0)),
+        picture(np.where(inside > 0.5 * pixel, known.unseen[vertex], 0.0)),
+        picture(cosine < AWAY),
+    )

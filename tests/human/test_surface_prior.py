@@ -1,0 +1,193 @@
+"""The terms that close a surface: against loops, by differences, and on Gaussians that only one direction has seen."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from occfusion.geometry.normals import vertex_normals
+from occfusion.human import Avatar, Gaussians
+from occfusion.human.body import Body
+from occfusion.human.observability import Observability, canonical_views
+from occfusion.human.rendering import Renderer
+from occfusion.settings.stages import SurfaceSettings
+from occfusion.stages.surface import DEPTH_SCALE, EXTENT_SCALE, SurfacePrior
+
+ALL = SurfaceSettings(depth=1.0, extent=1.0, outline=1.0, backface=1.0, every=1)
+NOTHING = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0)
+
+
+def seen_from_front(body: Body, ignorance: float = 1.0) -> Observability:
+    """The front of a body, seen from straight before; the back by nobody."""
+    points, faces = body.da_vertices().double().numpy(), body.faces.numpy()
+    along = np.zeros((len(points), 3, 3))
+    along[:, 2, 2] = 1.0
+    is_seen = vertex_normals(points, faces)[:, 2] > 0
+    axis = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    return Observability(along, along, axis, np.full(len(points), ignorance), 1.0 - is_seen, is_seen)
+
+
+def avatar_on(body: Body, opacity: float = 0.95) -> Avatar:
+    avatar = Avatar(
+        body, sh_degree=0, refine_pose=False, learn_skinning=False,
+        gaussians=Gaussians.on_body(body, 0, 20_000, 0.002),
+    )  # fmt: skip
+    with torch.no_grad():
+        avatar.gaussians.opacity_logits.fill_(math.log(opacity / (1 - opacity)))
+    return avatar
+
+
+def prior_of(body: Body, settings: SurfaceSettings = ALL, known: Observability | None = None) -> SurfacePrior:
+    known = known or seen_from_front(body)
+    points, faces = body.da_vertices().double().numpy(), body.faces.numpy()
+    views = canonical_views(points, faces, known, np.full(len(points), 0.01), 0.015)
+    return SurfacePrior(known, views, settings, renderer=Renderer("torch"), seed=0)
+
+
+def behind(prior: SurfacePrior) -> SurfacePrior:
+    """Looks from straight behind at every step."""
+    prior._views = [prior._views[len(prior._views) // 2]]
+    return prior
+
+
+def test_terms_of_weight_zero_are_not_built(free_body):
+    assert prior_of(free_body, NOTHING).terms(avatar_on(free_body), 0) == {}
+    some = prior_of(free_body, SurfaceSettings(depth=1.0, extent=0.0, outline=0.0, backface=0.0))
+    assert set(some.terms(avatar_on(free_body), 0)) == {"surface_depth"}
+
+
+def test_views_are_asked_at_every_kth_step_with_k_times_the_weight(free_body):
+    prior = prior_of(free_body, SurfaceSettings(depth=0.0, extent=0.0, outline=0.5, backface=0.25, every=3))
+    avatar = avatar_on(free_body)
+    assert [bool(prior.terms(avatar, step)) for step in range(4)] == [True, False, False, True]
+    assert prior.weight("surface_outline") == 1.5 and prior.weight("surface_backface") == 0.75
+
+
+def test_depth_and_extent_against_loops(free_body):
+    avatar = avatar_on(free_body)
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        avatar.gaussians.means += 0.02 * torch.randn(avatar.gaussians.means.shape, generator=generator)
+        avatar.gaussians.raw_quats += 0.5 * torch.randn(avatar.gaussians.raw_quats.shape, generator=generator)
+    known = seen_from_front(free_body)
+    rng = np.random.default_rng(0)
+    axis = rng.standard_normal(known.axis.shape)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    known = Observability(
+        known.moments, known.passes, axis, rng.uniform(0, 1, len(axis)), known.unseen, known.is_seen
+    )
+    terms = prior_of(free_body, ALL, known).terms(avatar, 0)
+    gaussians, depth, extent = avatar.gaussians, [], []
+    rotations_scales = gaussians.roots().detach().double().numpy()
+    for k in range(0, gaussians.num_gaussians, 7):
+        vertex = int(gaussians.vertex_index[k])
+        e = axis[vertex]
+        off = float((gaussians.means[k] - avatar.da_vertices[vertex]).detach().double().numpy() @ e)
+        covariance = rotations_scales[k] @ rotations_scales[k].T
+        depth.append(known.ignorance[vertex] * (math.hypot(1.0, off / DEPTH_SCALE) - 1.0))
+        extent.append(
+            known.ignorance[vertex] * (math.hypot(1.0, math.sqrt(e @ covariance @ e) / EXTENT_SCALE) - 1.0)
+        )
+    # a seventh of them, evenly: the mean of all to within its spread
+    assert float(terms["surface_depth"]) == pytest.approx(np.mean(depth), rel=0.05)
+    assert float(terms["surface_extent"]) == pytest.approx(np.mean(extent), rel=0.05)
+
+
+def test_what_is_seen_from_all_round_is_left_alone(free_body):
+    known = seen_from_front(free_body, ignorance=0.0)
+    avatar = avatar_on(free_body)
+    terms = prior_of(free_body, SurfaceSettings(1.0, 1.0, 0.0, 0.0), known).terms(avatar, 0)
+    assert all(float(term) == 0.0 for term in terms.values())
+
+
+def test_only_what_stands_off_along_the_line_of_sight_is_pulled_back(free_body):
+    avatar = avatar_on(free_body)
+    with torch.no_grad():
+        avatar.gaussians.means += torch.tensor([0.03, 0.02, 0.03])
+    prior_of(free_body, SurfaceSettings(1.0, 0.0, 0.0, 0.0)).terms(avatar, 0)["surface_depth"].backward()
+    gradient = avatar.gaussians.means.grad
+    assert (gradient[:, 2] > 0).float().mean() > 0.9
+    assert (gradient[:, :2] == 0).all()
+
+
+def test_gradients_by_differences(free_body):
+    avatar = avatar_on(free_body, 0.6)
+    prior = behind(prior_of(free_body))
+    for name, parameter in (
+        ("surface_depth", avatar.gaussians.means),
+        ("surface_extent", avatar.gaussians.log_scales),
+        ("surface_outline", avatar.gaussians.opacity_logits),
+        ("surface_backface", avatar.gaussians.opacity_logits),
+    ):
+        (gradient,) = torch.autograd.grad(prior.terms(avatar, 0)[name], parameter)
+        direction = gradient / gradient.abs().max()  # along which the value changes by more than it rounds
+        start, step = parameter.detach().clone(), 1e-3
+
+        ends = []
+        for sign in (1.0, -1.0):
+            with torch.no_grad():
+                parameter.copy_(start + sign * step * direction)
+                ends.append(float(prior.terms(avatar, 0)[name].double()))
+                parameter.copy_(start)
+        expected = (ends[0] - ends[1]) / (2 * step)
+        assert float((gradient * direction).sum()) == pytest.approx(expected, rel=0.05, abs=1e-5), name
+
+
+def test_the_front_does_not_shine_through_a_closed_back(free_body):
+    prior = behind(prior_of(free_body))
+    closed = float(prior.terms(avatar_on(free_body, 0.99), 0)["surface_backface"])
+    open_ = avatar_on(free_body, 0.99)
+    normals = vertex_normals(free_body.da_vertices().double().numpy(), free_body.faces.numpy())
+    is_back = torch.from_numpy(normals[:, 2] < 0)[open_.gaussians.vertex_index]
+    with torch.no_grad():
+        open_.gaussians.opacity_logits[is_back] = -2.0
+    leaking = prior.terms(open_, 0)["surface_backface"]
+    assert closed < 0.02 and float(leaking) > 5 * closed
+    leaking.backward()
+    gradient = open_.gaussians.opacity_logits.grad
+    # it closes the back, or thins the front that shines through; most of the gradient does the former
+    assert float(gradient[is_back].clamp(max=0).sum()) < 0.0 < float(gradient[~is_back].clamp(min=0).sum())
+
+
+def test_a_needle_and_a_stray_are_brought_back_by_descent(free_body):
+    avatar = avatar_on(free_body)
+    prior = prior_of(free_body, SurfaceSettings(1.0, 1.0, 0.0, 0.0))
+    gaussians = avatar.gaussians
+    with torch.no_grad():
+        gaussians.means[:50, 2] += 0.3
+        gaussians.raw_quats[50:100] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+        gaussians.log_scales[50:100, 2] = math.log(0.05)
+    adam = torch.optim.Adam([gaussians.means, gaussians.log_scales], lr=5e-3, eps=1e-15)
+    for step in range(500):
+        adam.zero_grad()
+        sum(prior.terms(avatar, step).values()).backward()
+        adam.step()
+    rows = gaussians.vertex_index[:50]
+    off = (gaussians.means[:50] - avatar.da_vertices[rows])[:, 2].abs()
+    assert float(off.detach().max()) < DEPTH_SCALE
+    assert float(gaussians.scales[50:100, 2].detach().max()) < 3 * EXTENT_SCALE
+
+
+def test_extreme_gaussians_have_finite_gradients(free_body):
+    avatar = avatar_on(free_body)
+    with torch.no_grad():
+        avatar.gaussians.means[0] = 1e3
+        avatar.gaussians.log_scales[1] = 10.0
+        avatar.gaussians.log_scales[2] = -60.0
+        avatar.gaussians.raw_quats[3] = 1e-20
+        avatar.gaussians.opacity_logits[4] = 80.0
+    total = sum(prior_of(free_body).terms(avatar, 0).values())
+    total.backward()
+    assert math.isfinite(float(total.detach()))
+    for parameter in avatar.gaussians.parameters():
+        assert parameter.grad is None or bool(parameter.grad.isfinite().all())
+
+
+def test_the_same_seed_and_step_take_the_same_view(free_body):
+    prior, avatar = prior_of(free_body), avatar_on(free_body)
+    first = [float(prior.terms(avatar, step)["surface_outline"]) for step in range(4)]
+    assert first == [float(prior.terms(avatar, step)["surface_outline"]) for step in range(4)]
+    assert len(set(first)) > 1
