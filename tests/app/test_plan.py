@@ -319,11 +319,11 @@ def test_the_plan_is_told_in_a_few_lines() -> None:
     assert any(line.startswith("pose refinement: no; ") for line in lines)
 
 
-def surface_of(ignorance: float) -> ObservedSurface:
+def surface_of(turn: float) -> ObservedSurface:
     nothing = np.zeros((2, 3, 3))
     places = np.zeros(2)
     known = Observability(nothing, nothing, np.zeros((2, 3)), places, places, places > 0)
-    return ObservedSurface(known, ignorance, places, 0.01)
+    return ObservedSurface(known, 0.8, turn, places, 0.01)
 
 
 def planned_for(surface: ObservedSurface | None, *overrides: str) -> planning.Plan:
@@ -333,17 +333,17 @@ def planned_for(surface: ObservedSurface | None, *overrides: str) -> planning.Pl
 
 
 @pytest.mark.parametrize(
-    ("overrides", "ignorance", "closes"),
+    ("overrides", "turn", "closes"),
     [
-        ((), 0.8, True),
-        ((), 0.01, False),  # seen from all round
+        ((), 12.0, True),
+        ((), 42.0, False),  # turns round
         ((), None, False),  # the body is in no frame
-        (("plan=full",), 0.01, True),
-        (("recipe=paper",), 0.8, False),
+        (("plan=full",), 42.0, True),
+        (("recipe=paper",), 12.0, False),
     ],
 )
-def test_the_surface_is_closed_where_the_video_leaves_it_open(overrides, ignorance, closes):
-    plan = planned_for(None if ignorance is None else surface_of(ignorance), *overrides)
+def test_the_surface_is_closed_where_the_video_leaves_it_open(overrides, turn, closes):
+    plan = planned_for(None if turn is None else surface_of(turn), *overrides)
     found = {d.part: d.used for d in plan.decisions}
     assert found["surface prior"] is found["surface prior in refine"] is closes
     assert plan.settings.optim.surface.is_used is plan.settings.refine.surface.is_used is closes
@@ -352,6 +352,6 @@ def test_the_surface_is_closed_where_the_video_leaves_it_open(overrides, ignoran
 
 def test_weights_of_one_stage_say_nothing_of_the_other():
     off = [f"optim.surface.{name}=0" for name in ("depth", "extent", "outline", "backface")]
-    plan = planned_for(surface_of(0.8), *off)
+    plan = planned_for(surface_of(12.0), *off)
     assert not plan.settings.optim.surface.is_used and plan.settings.refine.surface.is_used
-    assert optim_hash(plan.settings) != optim_hash(planned_for(surface_of(0.8)).settings)
+    assert optim_hash(plan.settings) != optim_hash(planned_for(surface_of(12.0)).settings)

@@ -143,7 +143,9 @@ def test_classes():
     belt = np.abs(points[:, 2]) < 0.3
     assert set(all_round[belt]) == {MANY}
     assert set(all_round[np.abs(points[:, 2]) > 0.499]) == {UNSEEN}  # poles: all looks graze
-    edge = Coverage(1, np.array([0.49, 0.51, 9.0]), np.array([90.0, CONE, CONE + 0.1]))
+    edge = Coverage(
+        1, np.array([0.49, 0.51, 9.0]), np.array([90.0, CONE, CONE + 0.1]), *np.zeros((2, 3, 3, 3))
+    )
     assert edge.classes.tolist() == [UNSEEN, ONE, MANY]
 
 

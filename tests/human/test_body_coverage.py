@@ -65,7 +65,7 @@ def test_the_summary_says_the_same_in_numbers(scenes):
 
 def test_nothing_seen_has_no_spread():
     count = len(BODY.v_template)
-    nothing = Coverage(3, np.zeros(count), np.full(count, np.nan))
+    nothing = Coverage(3, np.zeros(count), np.full(count, np.nan), *np.zeros((2, count, 3, 3)))
     blind = BodyCoverage(nothing, body_parts(BODY), np.ones(count))
     assert blind.spread() is None and blind.json()["spread_degrees"] is None
     assert blind.shares() == {"seen_many": 0.0, "seen_one": 0.0, "unseen": 1.0}

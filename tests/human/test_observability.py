@@ -102,6 +102,14 @@ def test_who_is_seen_from_all_round_is_known(from_all_round):
     assert from_all_round.unseen[level].max() < 0.2
 
 
+def test_turning_is_the_spread_of_directions(from_front, from_all_round):
+    assert from_front.turns().max() < 0.05  # degrees; directions are of single precision
+    assert from_all_round.turns() == pytest.approx(45.0, abs=8.0)
+    angles = [-0.4, 0.4]  # two looks, each so far from their axis
+    turns = observe_surface(seen_from(angles), POINTS, FACES).turns()
+    assert turns[nearest_vertex((0, 1, 0))] == pytest.approx(math.degrees(0.4), abs=1.5)
+
+
 def test_ignorance_falls_as_looks_spread():
     front = nearest_vertex((0, 0, 1))
     found = [

@@ -38,7 +38,7 @@ def test_presets_differ_from_the_default_as_they_say() -> None:
 
 
 def test_unknown_inputs_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"perceptual_inputs.*centred, unit"):
+    with pytest.raises(ConfigError, match=r"perceptual_inputs.*centred or unit"):
         settings("evaluation.perceptual_inputs=raw")
 
 
@@ -78,9 +78,11 @@ def test_means_by_camera_and_by_frame(tmp_path: Path) -> None:
                 "lpips",
                 "mask_iou",
                 "depth_error_mm",
+                "spill",
+                "holes",
             ],
-            ["1", "full", "2", "1", "2", "25", "0.6", "0.1", "0.75", "15"],
-            ["2", "full", "1", "0", "0", "40", "0.9", "", "", ""],
+            ["1", "full", "2", "1", "2", "25", "0.6", "0.1", "0.75", "15", "", ""],
+            ["2", "full", "1", "0", "0", "40", "0.9", "", "", "", "", ""],
         ]
     with (tmp_path / "f.csv").open() as file:
         assert [row[:6] for row in csv.reader(file)][1:] == [

@@ -60,6 +60,14 @@ class Observability:
     unseen: Floats
     is_seen: NDArray[np.bool_]
 
+    def turns(self) -> Floats:
+        """Returns by how many degrees the directions to the camera spread about their axis at each place, `[V]`.
+
+        Root mean square over all views, whether they show the place or not: 0 from one side, 45 from all round.
+        """
+        along = np.linalg.eigvalsh(self.passes)[:, 2]
+        return np.degrees(np.arcsin(np.sqrt(np.clip(1.0 - along, 0.0, 1.0))))
+
     def outline_ignorance(self, direction: Floats) -> Floats:
         """Returns how little masks say of where the outline at each place ends along a unit direction `[3]`, `[V]`.
 
@@ -105,12 +113,14 @@ class ObservedSurface:
     Attributes:
         known: what it says of each place.
         ignorance: mean of that of all places by their area, 0..1.
+        turn: mean of `Observability.turns` likewise, degrees.
         thickness: how far clothes stand off at each place, `[V]`, metres.
         pixel: metres that a pixel of the video covers at the person.
     """
 
     known: Observability
     ignorance: float
+    turn: float
     thickness: Floats
     pixel: float
 

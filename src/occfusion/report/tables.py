@@ -15,6 +15,9 @@ DECIMALS = {"psnr": 2, "ssim": 4, "lpips": 1, "mask_iou": 3, "depth_error_mm": 1
 PERCEPTUAL_SCALE = 1000
 """Perceptual scores are printed times 1000, as in the paper."""
 
+OF_FRAMES = ("spill", "holes")
+"""Figures that whole frames alone have; as columns they would leave a terminal no room for names."""
+
 
 def figure(metric: str, value: float | None) -> str:
     """Returns a metric as tables print it; a dash where it could not be computed."""
@@ -54,13 +57,19 @@ def print_summary(folder: Path, metrics: Mapping[str, Any]) -> None:
     name = metrics["perceptual_metric"]
     table = Table(title=run_title(metrics))
     table.add_column("region", no_wrap=True)
-    shown = figures_known(metrics)
+    shown = [metric for metric in figures_known(metrics) if metric not in OF_FRAMES]
     for metric in shown:
         table.add_column(heading(metric, name), justify="right")
     for region, values in metrics["regions"].items():
         table.add_row(region, *(figure(metric, values.get(metric)) for metric in shown))
     console = Console()
     console.print(table)
+    full = metrics["regions"].get("full", {})
+    told = [
+        f"{metric} {figure(metric, full[metric])}" for metric in OF_FRAMES if full.get(metric) is not None
+    ]
+    if told:
+        console.print(f"of whole frames: {', '.join(told)}", highlight=False)
     console.print(
         f"trained in {metrics['train_seconds']['total']:.1f} s, {metrics['gaussians']} Gaussians, "
         f"{metrics['images']} held-out images, peak memory {metrics['peak_memory_mb']:.0f} MB",

@@ -214,9 +214,10 @@ def _observe_surface(
     )
     focal = float(data.train_frame(0, truth=False).camera.K[0, 0])
     depth = float(np.median([np.median(frame.projected.depths) for frame in observed_frames]))
-    return ObservedSurface(
-        known, float(np.average(known.ignorance, weights=coverage.areas)), thickness, depth / focal
+    ignorance, turn = (
+        float(np.average(of, weights=coverage.areas)) for of in (known.ignorance, known.turns())
     )
+    return ObservedSurface(known, ignorance, turn, thickness, depth / focal)
 
 
 def observe_training_frames(data: HumanDataModule, body: Body) -> list[ObservedFrame]:
