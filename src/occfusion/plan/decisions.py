@@ -31,10 +31,10 @@ DETERMINED = 50.0
 (docs/experiments/015-key-light.md)."""
 
 
-TURNED = 25.0
+TURNED = 33.0
 """Degrees of turning from which the surface is not closed. Embedded people who face the camera within 15 degrees to
-both sides have about 15, those who turn half round 40 or more: closing costs exact scenes of those 0.2 dB
-(docs/experiments/026-surface.md)."""
+both sides have 23 (their limbs turn too), the man of the real clip 13, those who turn half round or more 43: closing
+costs exact scenes of those 0.2 dB (docs/experiments/026-surface.md)."""
 
 
 @dataclass(frozen=True)
