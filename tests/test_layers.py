@@ -14,16 +14,17 @@ PACKAGE = Path(__file__).parents[1] / "src" / "occfusion"
 LAYERS = [
     {"types", "errors"},
     {"cpu", "fields", "files", "geometry", "quality"},
-    {"perceptual", "report", "splat", "synth"},
+    {"footage", "perceptual", "report", "splat", "synth"},
     {"evaluation", "human"},
     # what a video shows, before any prior is asked
-    {"compare", "data", "observation"},
-    {"priors"},
-    {"bench", "inpaint"},
+    {"compare", "data", "fitting", "observation"},
+    {"importing", "motion", "priors"},
+    {"bench", "export", "inpaint", "show"},
     {"settings"},
     {"stages"},
     {"plan", "prior_training"},
     {"run"},
+    {"viewer"},
     {"cli"},
     {"__main__"},
 ]
@@ -44,6 +45,7 @@ AT_TOP_LEVEL_ONLY_IN = {
     "smplx": set(),
     "anny": set(),
     "viser": set(),
+    "ai_edge_litert": set(),
 }
 # libraries that only a few parts may touch at all
 ANYWHERE_ONLY_IN = {

@@ -16,12 +16,16 @@ TRAIN = "train"
 VERBS = {
     TRAIN: "train an avatar: overrides as for `python train.py`",
     "synth": "write an embedded scene to disk in ZJU-MoCap's layout",
+    "import": "make a data folder from a video of a person: key points, masks, camera and body",
     "check": "inspect a data folder: what is there, what is wrong with it, what to do",
     "convert-body": "write a body of SMPL's family, as it was downloaded, into a safe file, once",
-    "render": "render a trained run along a path of cameras",
+    "render": "pictures of a trained avatar: any camera, any motion, several runs side by side",
+    "export": "take a trained avatar away: Gaussians for viewers, a page that plays it",
     "report": "finished runs side by side: curves, tables, pictures, as an HTML page and Markdown",
     "bench": "speed and error of the rasteriser and of the parts of a training step",
 }
+MODULES = {"import": "import_clip"}
+"""Modules of verbs whose word is one of Python's own."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -70,7 +74,8 @@ def _run_verb(arguments: list[str]) -> int:
 
 
 def _module(verb: str) -> ModuleType:
-    return importlib.import_module(f"occfusion.cli.{verb.replace('-', '_')}")
+    name = MODULES.get(verb, verb.replace("-", "_"))
+    return importlib.import_module(f"occfusion.cli.{name}")
 
 
 if __name__ == "__main__":

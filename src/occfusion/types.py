@@ -59,14 +59,14 @@ class Pose:
         body_pose: the other 23 joints as axis-angles, `[69]`, radians.
         transl: translation, `[3]`, metres.
         frame_index: number of the frame in the sequence that an avatar learns from, which corrections of that frame
-            go by; None for any other pose.
+            go by, with a share between two frames; None for any other pose.
     """
 
     betas: Tensor
     global_orient: Tensor
     body_pose: Tensor
     transl: Tensor
-    frame_index: int | None = None
+    frame_index: float | None = None
 
     def to(self, device: torch.device | str) -> Pose:
         """Returns the pose with its tensors on `device`."""

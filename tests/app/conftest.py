@@ -27,15 +27,30 @@ def scene_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def train(scene_root: Path, tmp_path: Path) -> Callable[..., tuple[Path, dict[str, Any]]]:
     def run(*overrides: str, folder: str = "run", chosen: bool = True) -> tuple[Path, dict[str, Any]]:
-        fixed = [
-            "variant=A", "dataset=zju", f"dataset.root={scene_root}", f"dataset.scene={SCENE}",
-            f"body.path={scene_root / SCENE / 'body.npz'}", f"output_dir={tmp_path / folder}",
-            "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "refine.lambda_lpips=0",
-            "evaluation.perceptual=false",
-            "evaluation.curve_images=1", "evaluation.training_stride=9", "dataset.test_frames=[0,10,9]",
-        ]  # fmt: skip
-        with initialize_config_dir(str(CONF), version_base="1.3"):
-            config = compose("config", [*fixed, *overrides])
-        return tmp_path / folder, app.run(config, folder_chosen_by_user=chosen)
+        return run_tiny(scene_root, tmp_path / folder, *overrides, chosen=chosen)
 
     return run
+
+
+@pytest.fixture(scope="session")
+def short_run(scene_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of a few steps, for tests that only look at its avatar."""
+    without = ["evaluation.curve=false", "evaluation.pictures=false", "evaluation.training_views=false"]
+    return run_tiny(
+        scene_root, tmp_path_factory.mktemp("short") / "run", "stage=optim", "optim.steps=12", *without
+    )[0]
+
+
+def run_tiny(
+    scene_root: Path, folder: Path, *overrides: str, chosen: bool = True
+) -> tuple[Path, dict[str, Any]]:
+    fixed = [
+        "variant=A", "dataset=zju", f"dataset.root={scene_root}", f"dataset.scene={SCENE}",
+        f"body.path={scene_root / SCENE / 'body.npz'}", f"output_dir={folder}",
+        "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "refine.lambda_lpips=0",
+        "evaluation.perceptual=false",
+        "evaluation.curve_images=1", "evaluation.training_stride=9", "dataset.test_frames=[0,10,9]",
+    ]  # fmt: skip
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        config = compose("config", [*fixed, *overrides])
+    return folder, app.run(config, folder_chosen_by_user=chosen)

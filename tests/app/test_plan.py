@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from app.test_config import settings_of
+from occfusion.geometry.coverage import Coverage
+from occfusion.human.coverage import BodyCoverage
 from occfusion.human.observability import Observability, ObservedSurface
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import HIDDEN_SHARE, Evidence
@@ -352,6 +354,40 @@ def test_the_surface_is_closed_where_the_video_leaves_it_open(overrides, turn, c
 
 def test_weights_of_one_stage_say_nothing_of_the_other():
     off = [f"optim.surface.{name}=0" for name in ("depth", "extent", "outline", "backface")]
+    off.append("optim.surface.hold=false")
     plan = planned_for(surface_of(12.0), *off)
     assert not plan.settings.optim.surface.is_used and plan.settings.refine.surface.is_used
     assert optim_hash(plan.settings) != optim_hash(planned_for(surface_of(12.0)).settings)
+
+
+def covered(unseen: float) -> BodyCoverage:
+    """A body of two halves by area, of which so much is not seen."""
+    looks = np.array([10.0, 0.0])
+    spread, moments = np.array([40.0, np.nan]), np.zeros((2, 3, 3))
+    return BodyCoverage(
+        Coverage(10, looks, spread, moments, moments),
+        np.array(["back", "back"]),
+        np.array([1.0 - unseen, unseen]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("overrides", "unseen", "completes"),
+    [
+        ((), 0.07, False),  # turns round
+        ((), 0.4, True),
+        ((), None, False),  # the body is in no frame
+        (("optim.unseen_colors=prior",), 0.07, True),
+        (("optim.unseen_colors=nearest",), 0.4, False),
+        (("plan=full",), 0.07, True),
+        (("recipe=paper",), 0.4, False),
+    ],
+)
+def test_colours_are_completed_where_much_of_the_body_is_unseen(overrides, unseen, completes):
+    coverage = None if unseen is None else covered(unseen)
+    plan = planning.make_plan(
+        settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), LAMP, coverage=coverage
+    )
+    assert {d.part: d.used for d in plan.decisions}["completed colours"] is completes
+    assert (plan.settings.optim.unseen_colors == "prior") is completes
+    assert any(line.startswith("completed colours: ") for line in plan.lines()) is completes

@@ -14,10 +14,10 @@ from occfusion.human.body import Body
 from occfusion.human.observability import Observability, canonical_views
 from occfusion.human.rendering import Renderer
 from occfusion.settings.stages import SurfaceSettings
-from occfusion.stages.surface import DEPTH_SCALE, EXTENT_SCALE, SurfacePrior
+from occfusion.stages.surface import DEPTH_SCALE, EXTENT_SCALE, INWARDS, LONG, OUTWARDS, THICK, SurfacePrior
 
 ALL = SurfaceSettings(depth=1.0, extent=1.0, outline=1.0, backface=1.0, every=1)
-NOTHING = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0)
+NOTHING = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0, hold=False)
 
 
 def seen_from_front(body: Body, ignorance: float = 1.0) -> Observability:
@@ -43,8 +43,11 @@ def avatar_on(body: Body, opacity: float = 0.95) -> Avatar:
 def prior_of(body: Body, settings: SurfaceSettings = ALL, known: Observability | None = None) -> SurfacePrior:
     known = known or seen_from_front(body)
     points, faces = body.da_vertices().double().numpy(), body.faces.numpy()
-    views = canonical_views(points, faces, known, np.full(len(points), 0.01), 0.015)
-    return SurfacePrior(known, views, settings, renderer=Renderer("torch"), seed=0)
+    thickness = np.full(len(points), 0.01)
+    views = canonical_views(points, faces, known, thickness, 0.015)
+    return SurfacePrior(
+        known, vertex_normals(points, faces), thickness, views, settings, renderer=Renderer("torch"), seed=0
+    )
 
 
 def behind(prior: SurfacePrior) -> SurfacePrior:
@@ -191,3 +194,52 @@ def test_the_same_seed_and_step_take_the_same_view(free_body):
     first = [float(prior.terms(avatar, step)["surface_outline"]) for step in range(4)]
     assert first == [float(prior.terms(avatar, step)["surface_outline"]) for step in range(4)]
     assert len(set(first)) > 1
+
+
+def unruly(body: Body) -> Avatar:
+    """Gaussians off the body in all directions, long and turned at will."""
+    avatar, generator = avatar_on(body), torch.Generator().manual_seed(3)
+    gaussians = avatar.gaussians
+    with torch.no_grad():
+        gaussians.means += 0.1 * torch.randn(gaussians.means.shape, generator=generator)
+        gaussians.raw_quats += torch.randn(gaussians.raw_quats.shape, generator=generator)
+        gaussians.log_scales += torch.randn(gaussians.log_scales.shape, generator=generator)
+    return avatar
+
+
+def test_nothing_leaves_the_room_that_ignorance_gives(free_body):
+    avatar, prior = unruly(free_body), prior_of(free_body)
+    prior.hold(avatar)
+    gaussians, rows = avatar.gaussians, avatar.gaussians.vertex_index
+    points, faces = free_body.da_vertices().double().numpy(), free_body.faces.numpy()
+    normals = torch.from_numpy(vertex_normals(points, faces)).float()[rows]
+    height = ((gaussians.means - avatar.da_vertices[rows]) * normals).sum(dim=1)
+    assert float(height.max()) <= 0.01 + OUTWARDS + 1e-5 and float(height.min()) >= -INWARDS - 1e-5
+    # each axis of a Gaussian stays within its bound, so that the whole stays within the root of three of it
+    for direction, bound in ((normals, THICK), (torch.tensor([0.0, 0.0, 1.0]).expand_as(normals), LONG)):
+        along = (gaussians.roots() * direction[:, :, None]).sum(dim=1)
+        assert float(along.abs().max()) <= bound + 1e-5
+
+
+def test_holding_twice_is_holding_once_and_what_is_inside_stays(free_body):
+    avatar, prior = unruly(free_body), prior_of(free_body)
+    prior.hold(avatar)
+    once = {name: value.clone() for name, value in avatar.gaussians.state_dict().items()}
+    prior.hold(avatar)
+    for name, value in avatar.gaussians.state_dict().items():
+        torch.testing.assert_close(value, once[name], rtol=0, atol=1e-6)
+    flat = avatar_on(free_body)
+    with torch.no_grad():
+        flat.gaussians.log_scales.clamp_(max=math.log(0.004))
+    before = flat.gaussians.means.clone()
+    prior.hold(flat)
+    torch.testing.assert_close(flat.gaussians.means, before)
+
+
+@pytest.mark.parametrize("ignorance", [0.0, 0.1])
+def test_who_was_seen_from_all_round_is_not_held(free_body, ignorance):
+    avatar = unruly(free_body)
+    before = {name: value.clone() for name, value in avatar.gaussians.state_dict().items()}
+    prior_of(free_body, known=seen_from_front(free_body, ignorance)).hold(avatar)
+    for name, value in avatar.gaussians.state_dict().items():
+        assert torch.equal(value, before[name])

@@ -42,7 +42,8 @@ def test_presets_are_the_papers_values_and_the_codes() -> None:
     paper, code = composed("sd15"), composed("sd15_code")
     score = paper.pop("score")
     assert code.pop("score") == score
-    del paper["inpaint"], code["inpaint"]  # of another stage
+    for group in ("inpaint", "completion"):  # of other stages
+        del paper[group], code[group]
     assert asdict(Sd15ScoreSettings(**score)) == asdict(Sd15ScoreSettings())
     for preset in (paper, code):
         preset |= {key: getattr(Sd15Settings(**preset), key) for key in ("prompt", "negative_prompt")}

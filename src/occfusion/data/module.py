@@ -19,7 +19,7 @@ from occfusion.data.checking import survey, validation
 from occfusion.data.occluders import write_occlusion
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.posing import Poser, RestBody
-from occfusion.data.prepare import Prepared, Selection, prepare
+from occfusion.data.prepare import MAX_SIZE, MIN_SIZE, Prepared, Selection, prepare
 from occfusion.data.sampling import StepSampler, StepStream, ViewStream, prefetched, spread
 from occfusion.data.scene import Scene, Taken
 from occfusion.data.scene_registration import SceneRegistration, register_scene
@@ -30,9 +30,6 @@ from occfusion.types import Camera, Frame, Pose
 __all__ = ["HumanDataModule", "RestBody"]
 
 _log = logging.getLogger(__name__)
-
-MIN_SIZE, MAX_SIZE = 16, 4096
-"""Permitted `dataset.image_size`: below, nothing of a person is left; above, memory is."""
 
 CLEAR = 0.85
 """Estimated visible share from which a person counts as not occluded.
@@ -167,6 +164,10 @@ class HumanDataModule(L.LightningDataModule):
         """Returns a camera at frame size."""
         prepared, views, _ = self._open()
         return views.camera_at(prepared.train[0] if index == prepared.camera else prepared.test[0], index)
+
+    def camera_at(self, frame: int, index: int) -> Camera:
+        """Returns a camera at frame size, as it was at a frame of the sequence."""
+        return self._open()[1].camera_at(frame, index)
 
     def pose(self, frame: int) -> Pose:
         """Returns the body parameters of a frame of the sequence."""

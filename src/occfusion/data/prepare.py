@@ -17,6 +17,9 @@ from occfusion.files.images import read_numbers
 
 T = TypeVar("T")
 
+MIN_SIZE, MAX_SIZE = 16, 4096
+"""Permitted `dataset.image_size`: below, nothing of a person is left; above, memory is."""
+
 TRAIN_FRAMES = 100
 """The paper trains on 100 frames of each ZJU-MoCap sequence, 0 to 495."""
 

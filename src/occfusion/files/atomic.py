@@ -105,16 +105,20 @@ def write_png(path: Path | str, image: NDArray[Any]) -> None:
 
     Args:
         path: the file.
-        image: uint8 `[H, W]` or `[H, W, 3]` (RGB), or bool `[H, W]`, which is written as 0 and 255.
+        image: uint8 `[H, W]`, `[H, W, 3]` (RGB) or `[H, W, 4]` (RGB and straight alpha), uint16 `[H, W]`, or bool
+            `[H, W]`, which is written as 0 and 255.
 
     Raises:
         DataError: another type or shape, or the encoder refuses it.
     """
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
-    if image.dtype != np.uint8 or image.size == 0 or not (image.ndim == 2 or image.shape[2:] == (3,)):
+    is_picture = image.dtype == np.uint8 and (image.ndim == 2 or image.shape[2:] in ((3,), (4,)))
+    is_deep = image.dtype == np.uint16 and image.ndim == 2
+    if image.size == 0 or not (is_picture or is_deep):
         raise DataError(f"{path}: an array of {image.dtype} {image.shape} is not a picture.")
-    ordered = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
+    order = {3: [2, 1, 0], 4: [2, 1, 0, 3]}
+    ordered = image if image.ndim == 2 else np.ascontiguousarray(image[..., order[image.shape[2]]])
     done, encoded = cv2.imencode(".png", ordered)
     if not done:
         raise DataError(f"{path}: the picture {image.shape} could not be encoded.")

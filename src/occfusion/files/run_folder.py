@@ -145,6 +145,16 @@ class RunFolder:
         return FrameFolder(self.path / "inpainted", "regions")
 
     @property
+    def completion(self) -> Path:
+        """Colours of the body's surface, those of what no frame shows completed; one row a vertex."""
+        return self.path / "completion.npz"
+
+    @property
+    def completion_picture(self) -> Path:
+        """The same as a picture of front and back."""
+        return self.path / "completion.png"
+
+    @property
     def point_cloud(self) -> Path:
         """Canonical Gaussians in the 3DGS layout."""
         return self.path / "point_cloud.ply"
@@ -163,6 +173,16 @@ class RunFolder:
     def tensorboard(self) -> Path:
         """TensorBoard's files, a folder a stage."""
         return self.path / "tensorboard"
+
+    @property
+    def motion(self) -> Path:
+        """Poses of the sequence, frame by frame."""
+        return self.path / "motion.npz"
+
+    @property
+    def cameras(self) -> Path:
+        """Cameras of the training and held-out views."""
+        return self.path / "cameras.json"
 
     def wandb_id(self, stage: str) -> Path:
         """Returns where the number lies under which Weights & Biases knows a stage."""

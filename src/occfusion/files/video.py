@@ -1,52 +1,144 @@
-"""Writing pictures as a video or as numbered files."""
+"""Writing pictures as a video, as an animated picture, or as numbered files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.errors import DataError
-from occfusion.files.atomic import write_png
+from occfusion.files.atomic import atomic_write, write_png
 
-VIDEO_SUFFIXES = (".mp4", ".avi")
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+ANIMATED = ".webp"
+STILL = ".png"
+SUFFIXES = (*CODECS, ANIMATED, STILL)
+WEBP_QUALITY = 90
+MOST_WEBP_PIXELS = 1_000_000_000
+"""Of all pictures of an animated one together, which are kept in memory until it is written: 4 GB with alpha."""
+
+Picture = NDArray[Any]
 
 
-def write_frames(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
-    """Writes `[H, W, 3]` 8-bit RGB pictures to a video, or to `NNNN.png` in a folder when `path` has no suffix.
+def check_destination(path: Path, *, alpha: bool = False) -> None:
+    """Refuses a name that no writer is for, before anything is drawn.
 
-    Odd sizes are padded by one black row or column, since video codecs halve the colour planes.
+    Args:
+        path: a file, or a folder where it has no suffix.
+        alpha: whether pictures have an alpha channel.
 
     Raises:
-        DataError: a suffix that is not supported, or a file that cannot be written.
+        DataError: an unknown suffix, a format without alpha where there is alpha, or a file where a folder should be.
     """
-    if path.suffix == "":
-        path.mkdir(parents=True, exist_ok=True)
-        for number, picture in enumerate(pictures):
-            write_png(path / f"{number:04d}.png", picture)
-        return
-    if path.suffix not in VIDEO_SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix and suffix not in SUFFIXES:
         raise DataError(
-            f"{path}: videos are written as {' or '.join(VIDEO_SUFFIXES)}; without a suffix, as .png files"
+            f"{path}: pictures are written as {', '.join(SUFFIXES)}; without a suffix, as .png files in a folder"
         )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    writer: cv2.VideoWriter | None = None
+    if alpha and suffix in CODECS:
+        raise DataError(f"{path}: {suffix} has no transparency; write .webp, or .png files in a folder")
+    if not suffix and path.exists() and not path.is_dir():
+        raise DataError(f"{path} is a file; name a folder for .png files")
+
+
+def write_frames(path: Path, pictures: Iterable[Picture], fps: float) -> int:
+    """Writes pictures, whole or not at all; returns how many.
+
+    Args:
+        path: `.mp4`, `.avi`, animated `.webp`, `.png` of one picture, or a folder for `NNNN.png` without a suffix.
+            A video's odd sizes are padded by one black row or column, since codecs halve the colour planes.
+        pictures: uint8 `[H, W, 3]`, for `.webp` and `.png` also `[H, W, 4]`, for `.png` also `[H, W]` and uint16.
+        fps: frames a second.
+
+    Raises:
+        DataError: a suffix that is not supported, no picture, a missing codec, or a file that cannot be written.
+    """
+    check_destination(path)
+    suffix = path.suffix.lower()
+    stream = iter(pictures)
+    first = next(stream, None)
+    if first is None:
+        raise DataError(f"{path}: there is no picture to write")
+    every = itertools.chain([first], stream)
+    if suffix == "":
+        return _write_folder(path, every)
+    if suffix == STILL:
+        if next(stream, None) is not None:
+            raise DataError(f"{path}: a .png holds one picture; ask for one frame, or name a folder")
+        write_png(path, first)
+        return 1
+    return _write_webp(path, every, fps) if suffix == ANIMATED else _write_video(path, every, fps)
+
+
+def _write_folder(path: Path, pictures: Iterator[Picture]) -> int:
+    count = 0
+    for picture in pictures:
+        write_png(path / f"{count:04d}.png", picture)
+        count += 1
+    return count
+
+
+def _write_video(path: Path, pictures: Iterator[Picture], fps: float) -> int:
+    """The codec writes a file of its own; it takes its place when it is whole."""
+    count = 0
     try:
-        for picture in pictures:
-            height, width = picture.shape[:2]
-            even = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)))
-            if writer is None:
-                code = cv2.VideoWriter.fourcc(*CODECS[path.suffix])
-                writer = cv2.VideoWriter(str(path), code, fps, (even.shape[1], even.shape[0]))
-                if not writer.isOpened():
-                    raise DataError(
-                        f"{path}: the video cannot be opened for writing; try a folder of .png files"
-                    )
-            writer.write(cv2.cvtColor(even, cv2.COLOR_RGB2BGR))
-    finally:
-        if writer is not None:
-            writer.release()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        folder = TemporaryDirectory(prefix=f".{path.name[:80]}.", dir=path.parent)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror}); check space and rights.") from error
+    with ExitStack() as stack:
+        partial = Path(stack.enter_context(folder)) / f"film{path.suffix.lower()}"
+        writer: cv2.VideoWriter | None = None
+        try:
+            for picture in pictures:
+                height, width = picture.shape[:2]
+                even = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)))
+                if writer is None:
+                    writer = _open(path, partial, fps, (even.shape[1], even.shape[0]))
+                writer.write(cv2.cvtColor(even, cv2.COLOR_RGB2BGR))
+                count += 1
+        finally:
+            if writer is not None:
+                writer.release()
+        if not partial.is_file() or partial.stat().st_size == 0:
+            raise DataError(f"{path}: the codec wrote nothing; try .webp or a folder of .png files")
+        partial.replace(path)
+    return count
+
+
+def _open(path: Path, partial: Path, fps: float, size: tuple[int, int]) -> cv2.VideoWriter:
+    code = CODECS[path.suffix.lower()]
+    writer = cv2.VideoWriter(str(partial), cv2.VideoWriter.fourcc(*code), fps, size)
+    if not writer.isOpened():
+        raise DataError(
+            f"{path}: this OpenCV has no codec {code} for {size[0]} x {size[1]} pixels; write .webp, or .png files in "
+            "a folder"
+        )
+    return writer
+
+
+def _write_webp(path: Path, pictures: Iterator[Picture], fps: float) -> int:
+    from PIL import Image
+
+    kept, pixels = [], 0
+    for picture in pictures:
+        pixels += picture.shape[0] * picture.shape[1]
+        if pixels > MOST_WEBP_PIXELS:
+            raise DataError(
+                f"{path}: an animated picture of more than {MOST_WEBP_PIXELS:,} pixels in all does not fit in memory; "
+                "write .mp4, or .png files into a folder"
+            )
+        kept.append(Image.fromarray(picture))
+    with atomic_write(path) as stream:
+        kept[0].save(
+            stream, "WEBP", save_all=True, append_images=kept[1:], duration=round(1000 / fps), loop=0,
+            quality=WEBP_QUALITY, method=2,
+        )  # fmt: skip
+    return len(kept)

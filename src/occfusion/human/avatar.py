@@ -78,11 +78,8 @@ class Avatar(nn.Module):
         self.register_buffer("da_transforms", body.da_transforms(), persistent=False)
         self.register_buffer("da_offsets", body.pose_offsets(body.da_rotations()), persistent=False)
         self.register_buffer("key_light", key_light)
-        if key_light is not None:
-            normals = vertex_normals(self.da_vertices.double().cpu().numpy(), body.faces.cpu().numpy())
-            self.register_buffer(
-                "da_normals", torch.from_numpy(normals).to(body.v_template), persistent=False
-            )
+        normals = vertex_normals(self.da_vertices.double().cpu().numpy(), body.faces.cpu().numpy())
+        self.register_buffer("da_normals", torch.from_numpy(normals).to(body.v_template), persistent=False)
         # the network's last values in training; part of the state so that a resumed run goes on with the same ones
         self.register_buffer("skinning_offsets", body.v_template.new_zeros(0, NUM_JOINTS))
         self.to(body.v_template)
@@ -184,8 +181,16 @@ class Avatar(nn.Module):
         """
         if self.key_light is None:
             return None
+        return brightness(self.surface_normals(carried), self.key_light)
+
+    def surface_normals(self, carried: Carried) -> Tensor:
+        """Returns the body's normals at posed Gaussians, `[3, N]`, world, of any length, without gradient."""
         own = self.da_normals[self.gaussians.vertex_index].T
-        return brightness((carried.linear.detach() * own).sum(dim=1), self.key_light)
+        return (carried.linear.detach() * own).sum(dim=1)
+
+    def relight(self, key_light: Tensor | None) -> None:
+        """Puts another lamp in place of the learned one, for showing: `[3]`, world, see `shading.brightness`."""
+        self.key_light = None if key_light is None else key_light.to(self.da_normals)
 
     def _corrected(self, pose: Pose) -> tuple[Tensor, Tensor]:
         """Returns the joint rotations `[24, 3, 3]` and the translation `[3]` after all corrections."""

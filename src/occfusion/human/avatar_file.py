@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
+from torch import Tensor
 
 from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_bytes
@@ -33,7 +34,17 @@ def save_avatar(path: Path | str, avatar: Avatar) -> None:
     Raises:
         DataError: the disk refuses.
     """
-    description = {
+    tensors = {
+        name: value.detach().cpu().contiguous()
+        for name, value in avatar.state_dict().items()
+        if name not in _KEPT_FOR_TRAINING
+    }
+    write_bytes(path, save(tensors, metadata={"avatar": json.dumps(describe_avatar(avatar))}))
+
+
+def describe_avatar(avatar: Avatar) -> dict[str, Any]:
+    """Returns what the tensors of an avatar do not say: plain numbers and text."""
+    return {
         "format": FORMAT,
         "version": VERSION,
         "body": avatar.body.digest(),
@@ -48,12 +59,6 @@ def save_avatar(path: Path | str, avatar: Avatar) -> None:
         "learn_skinning": avatar.skinning_field is not None,
         "skinning_every": avatar.skinning_every,
     }
-    tensors = {
-        name: value.detach().cpu().contiguous()
-        for name, value in avatar.state_dict().items()
-        if name not in _KEPT_FOR_TRAINING
-    }
-    write_bytes(path, save(tensors, metadata={"avatar": json.dumps(description)}))
 
 
 def _spline_description(spline: PoseSpline | None) -> dict[str, float] | None:
@@ -73,10 +78,27 @@ def load_avatar(path: Path | str, body: Body) -> Avatar:
         raise CheckpointError(f"{path}: no such avatar file; it is written when a stage ends")
     try:
         with safe_open(str(path), framework="pt") as file:
-            description = _description(path, file.metadata())
+            description = _checked_description(path, _stored(path, file.metadata()))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise CheckpointError(f"{path}: not a safetensors file, or damaged ({error})") from error
+    return make_avatar(path, body, description, tensors)
+
+
+def make_avatar(path: Path, body: Body, description: dict[str, Any], tensors: dict[str, Tensor]) -> Avatar:
+    """Returns the avatar of tensors and of what `describe_avatar` said, ready to be posed.
+
+    Args:
+        path: what messages name.
+        body: that it belongs to.
+        description: of the avatar.
+        tensors: its state; parts that only training needs may be there.
+
+    Raises:
+        CheckpointError: of another version, damaged, or made for another body.
+    """
+    description = _checked_description(path, description)
+    tensors = {name: value for name, value in tensors.items() if name not in _KEPT_FOR_TRAINING}
     if description["body"] != body.digest():
         raise CheckpointError(
             f"{path}: made for another body (hash {description['body']}, given one has {body.digest()}); "
@@ -96,13 +118,16 @@ def load_avatar(path: Path | str, body: Body) -> Avatar:
     return avatar.eval()
 
 
-def _description(path: Path, metadata: dict[str, str] | None) -> dict[str, Any]:
+def _stored(path: Path, metadata: dict[str, str] | None) -> Any:
     try:
-        description: Any = json.loads((metadata or {})["avatar"])
+        return json.loads((metadata or {})["avatar"])
     except (KeyError, ValueError) as error:
         raise CheckpointError(f"{path}: a safetensors file, but not an avatar") from error
+
+
+def _checked_description(path: Path, description: Any) -> dict[str, Any]:
     if not isinstance(description, dict) or description.get("format") != FORMAT:
-        raise CheckpointError(f"{path}: a safetensors file, but not an avatar")
+        raise CheckpointError(f"{path}: not an avatar, or without a description of it")
     if description.get("version") != VERSION:
         raise CheckpointError(
             f"{path}: written in version {description.get('version')} of the format, "

@@ -56,11 +56,11 @@ class PoseSpline(nn.Module):
         """How many knots there are."""
         return len(self.turns)
 
-    def covers(self, frame_index: int) -> bool:
+    def covers(self, frame_index: float) -> bool:
         """Returns whether a frame lies in the range."""
         return 0.0 <= (frame_index - self.first) / self.spacing <= self.knots - 3 + ROUNDING
 
-    def at(self, frame_index: int) -> tuple[Tensor, Tensor]:
+    def at(self, frame_index: float) -> tuple[Tensor, Tensor]:
         """Returns the turns as axis-angles `[24, 3]`, radians, and the shift `[3]`, metres; zeros outside the range."""
         if not self.covers(frame_index):
             return torch.zeros_like(self.turns[0]), torch.zeros_like(self.places[0])
@@ -74,7 +74,7 @@ class PoseSpline(nn.Module):
             start : start + 4
         ]
 
-    def forward(self, frame_index: int, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, frame_index: float, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Returns rotations with the turns multiplied from the right, and the translation with the shift added.
 
         Args:

@@ -40,7 +40,7 @@ class Accumulated:
     @property
     def seen(self) -> Tensor:
         """How well each Gaussian is known, `[N]`, 0 never seen .. 1 seen in many pixels."""
-        return self.weights / (self.weights + _enough(self.weights))
+        return known_share(self.weights)
 
 
 def accumulate(
@@ -76,7 +76,7 @@ def accumulate(
         weights += seen[:, 0]
         sums += observed if shade is None else observed / shade[:, None]
     colors = sums / weights.clamp(min=1e-6)[:, None]
-    return Accumulated(_with_neighbours(colors, weights, means), weights)
+    return Accumulated(with_neighbours(colors, weights, means), weights)
 
 
 @torch.no_grad()
@@ -101,6 +101,11 @@ def paint_unseen(avatar: Avatar, accumulated: Accumulated) -> None:
     gaussians.sh_rest.mul_(seen)
 
 
+def known_share(weights: Tensor) -> Tensor:
+    """Returns how well Gaussians are known that made up so many visible pixels, `[N]`, 0..1."""
+    return weights / (weights + _enough(weights))
+
+
 def _enough(weights: Tensor) -> float:
     some = weights[weights > 0]
     return min(ENOUGH, float(some.median())) if len(some) else ENOUGH
@@ -110,8 +115,14 @@ def _as_harmonics(colors: Tensor) -> Tensor:
     return ((colors - 0.5) / SH_C0)[:, None]
 
 
-def _with_neighbours(colors: Tensor, weights: Tensor, means: Tensor) -> Tensor:
-    """Returns `colors` mixed with those of well-seen neighbours, the more so the less a Gaussian was seen itself."""
+def with_neighbours(colors: Tensor, weights: Tensor, means: Tensor) -> Tensor:
+    """Returns `colors` mixed with those of well-seen neighbours, the more so the less a place was seen itself.
+
+    Args:
+        colors: as observed, `[N, 3]`.
+        weights: visible pixels that show each place, `[N]`.
+        means: places, `[N, 3]`, metres, in the canonical pose.
+    """
     enough = _enough(weights)
     known = weights >= enough
     if not bool(known.any()):
@@ -124,5 +135,5 @@ def _with_neighbours(colors: Tensor, weights: Tensor, means: Tensor) -> Tensor:
     # the scale is that of the nearest: far from all that was seen, the nearest still count most
     near = (-distances / (distances.amin(dim=1, keepdim=True) + 0.005)).exp() * weights[known][indices].sqrt()
     filled = (near[..., None] * colors[known][indices]).sum(dim=1) / near.sum(dim=1, keepdim=True)
-    share = (weights / (weights + enough))[:, None]
+    share = known_share(weights)[:, None]
     return share * colors + (1.0 - share) * filled

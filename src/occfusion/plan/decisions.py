@@ -9,6 +9,7 @@ import numpy as np
 
 from occfusion.data.scene_registration import SceneRegistration
 from occfusion.files.run_folder import STAGES
+from occfusion.human.coverage import BodyCoverage
 from occfusion.human.observability import ObservedSurface
 from occfusion.observation.evidence import FITTING, HIDDEN_SHARE
 from occfusion.observation.frames import ObservedFrame, misfit_of, poses_fit
@@ -30,6 +31,10 @@ DETERMINED = 50.0
 """Condition up to which the frames tell where a lamp is; embedded scenes have 4 to 8
 (docs/experiments/015-key-light.md)."""
 
+
+MUCH_UNSEEN = 0.2
+"""Share of the body that no frame shows from which its colours are completed. Embedded people who turn round leave 2 to
+9 % unseen, those who do not turn 40 to 55 % (docs/experiments/027-completion.md)."""
 
 TURNED = 33.0
 """Degrees of turning from which the surface is not closed. Embedded people who face the camera within 15 degrees to
@@ -162,6 +167,19 @@ def key_light_decision(settings: Settings, found: KeyLight | None) -> Decision:
         return Decision(part, False, f"{reason}; the frames do not tell where it is")
     used = found.explained >= LIT or settings.plan == "full"
     return Decision(part, used, reason if used else f"{reason}; {LIT:.0%} would be worth it")
+
+
+def completion_decision(settings: Settings, coverage: BodyCoverage | None) -> Decision:
+    """Returns whether a network completes the colours of what no frame shows: where that is much of the body."""
+    part, asked = "completed colours", settings.optim.unseen_colors
+    reason = f"optim.unseen_colors = {asked}"
+    if asked == "nearest":
+        return Decision(part, False, reason)
+    if coverage is None:
+        return Decision(part, asked == "prior", f"{reason}; no training frame shows the body")
+    unseen = coverage.shares()["unseen"]
+    reason += f"; {unseen:.0%} of the body is not seen, from {MUCH_UNSEEN:.0%} on it is worth it"
+    return Decision(part, asked == "prior" or unseen >= MUCH_UNSEEN or settings.plan == "full", reason)
 
 
 def surface_decision(settings: Settings, stage: str, surface: ObservedSurface | None) -> Decision:

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from occfusion.data.scene_registration import SceneRegistration
+from occfusion.human.coverage import BodyCoverage
 from occfusion.human.observability import ObservedSurface
 from occfusion.observation.frames import ObservedFrame
 from occfusion.observation.key_light import KeyLight
@@ -19,6 +20,7 @@ from occfusion.perceptual import training_dtype
 from occfusion.plan.decisions import (
     Decision,
     box_reason,
+    completion_decision,
     densification_decision,
     generated_decision,
     hidden_mask_decision,
@@ -73,6 +75,7 @@ class Plan:
 
 TOLD = (
     "camera correction",
+    "completed colours",
     "complete masks",
     "pose refinement",
     "key light",
@@ -80,10 +83,10 @@ TOLD = (
     "densification in the refinement",
 )
 """Parts whose decision a user wants to see at once; `plan.json` has them all."""
-TOLD_IF_NOT = TOLD[1:]
+TOLD_IF_NOT = TOLD[2:]
 """Those of them that are told also where they are not used."""
 
-NO_SURFACE = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0)
+NO_SURFACE = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0, hold=False)
 
 
 def make_plan(
@@ -94,6 +97,7 @@ def make_plan(
     key_light: KeyLight | None = None,
     registered: SceneRegistration | None = None,
     surface: ObservedSurface | None = None,
+    coverage: BodyCoverage | None = None,
     device: torch.device | None = None,
 ) -> Plan:
     """Returns the plan of a run, from its settings and from what the data folder showed.
@@ -106,6 +110,7 @@ def make_plan(
         key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
         registered: whether pictures lie where the cameras say; None where that was not measured.
         surface: what the video says of the body's surface; None where no frame shows it or nothing depends on it.
+        coverage: how well the training frames show the body; None where none does.
         device: where the run computes; the CPU when None.
     """
     optim, refine = settings.optim, settings.refine
@@ -122,11 +127,12 @@ def make_plan(
     networks = network_decisions(settings, observed_frames)
     lamp = key_light_decision(settings, key_light)
     start = start_decision(settings)
+    completed = completion_decision(settings, coverage)
     closed, refined_closed = (surface_decision(settings, stage, surface) for stage in ("optim", "refine"))
     rounds = densification_decision("optim", optim, steps_of(settings, optim))
     refined_rounds = densification_decision("refine", refine, steps_of(settings, refine))
     effective = _effective(
-        settings, hidden, is_deferred, distillation, networks, lamp, start, closed, refined_closed, rounds,
+        settings, hidden, is_deferred, distillation, networks, lamp, start, completed, closed, refined_closed, rounds,
         refined_rounds,
     )  # fmt: skip
 
@@ -149,7 +155,7 @@ def make_plan(
     plan += [*networks, lamp, start]
     reason = f"optim.observed_colors = {optim.observed_colors}"
     plan.append(Decision("colours of the video at the start", optim.observed_colors, reason))
-    plan += [closed, rounds]
+    plan += [completed, closed, rounds]
     if is_refined:
         plan += _term_decisions("refine", refine, ("rgb", "mask"))
         plan.append(hidden_mask_decision("refine", settings, hidden[1], observed_frames))
@@ -170,6 +176,7 @@ def _effective(
     networks: Sequence[Decision],
     lamp: Decision,
     start: Decision,
+    completed: Decision,
     closed: Decision,
     refined_closed: Decision,
     rounds: Decision,
@@ -192,6 +199,7 @@ def _effective(
         learn_skinning=learn_skinning,
         hidden=hidden[0],
         gaussians=asked.gaussians if start.used else 0,
+        unseen_colors="prior" if completed.used else "nearest",
         key_light=lamp.used,
         densify=rounds.used,
         lambda_lpips=0.0 if is_deferred else asked.lambda_lpips,

@@ -15,6 +15,7 @@ from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.human import Avatar
 from occfusion.human.rendering import Renderer
+from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.appearance_net import (
     APPEARANCE,
     COARSE,
@@ -83,12 +84,14 @@ class Coarse:
         frames: all training frames, with truth and complete masks.
         observed_frames: of the same frames.
         renderer: that it was trained with.
+        complete: gives what no frame shows other colours than those of what is seen nearby, where the plan says so.
     """
 
     avatar: Avatar
     frames: Sequence[Frame]
     observed_frames: Sequence[ObservedFrame]
     renderer: Renderer
+    complete: Callable[[Avatar, Accumulated], Accumulated]
 
 
 TrainCoarse = Callable[[CoarseScene, Path], Coarse]
@@ -148,7 +151,9 @@ class AppearanceTask(PriorTask[AppearanceNet]):
             if not (marker.is_file() and json.loads(marker.read_text()) == identity):
                 coarse = self._train(scene, self.folder / "runs" / scene.scene)
                 examples = list(
-                    make_examples(coarse.avatar, coarse.frames, coarse.observed_frames, coarse.renderer)
+                    make_examples(
+                        coarse.avatar, coarse.frames, coarse.observed_frames, coarse.renderer, coarse.complete
+                    )
                 )
                 shard.mkdir(parents=True, exist_ok=True)
                 for name in ("planes", "truth", "mask"):

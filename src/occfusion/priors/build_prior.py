@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from occfusion.priors.sd15.score_prior import Sd15ScoreSettings
 
 
-OTHERS = ("score", "inpaint")
+OTHERS = ("score", "inpaint", "completion")
 """Keys of the settings of `prior=` that are not the mask prior's."""
 
 

@@ -76,6 +76,17 @@ def print_summary(folder: Path, metrics: Mapping[str, Any]) -> None:
         highlight=False,
     )
     console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
+    for command in next_commands(folder):
+        console.print(f"  {command}", highlight=False, soft_wrap=True)
+
+
+def next_commands(folder: Path) -> list[str]:
+    """Returns what a person wants to type after a run."""
+    return [
+        f"python -m occfusion render {folder} --output turntable.mp4",
+        f"python -m occfusion render {folder} --motion walk --output walk.mp4",
+        f"python -m occfusion export {folder} --output avatar.html",
+    ]
 
 
 def print_comparison(runs: Sequence[Mapping[str, Any]]) -> None:

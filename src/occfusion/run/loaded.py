@@ -1,58 +1,141 @@
-"""Reading a finished run folder."""
+"""Reading a run folder, finished or not, for whoever shows its avatar or takes it away."""
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import torch
 from omegaconf import OmegaConf
+from torch import Tensor
 
 from occfusion.errors import CheckpointError
-from occfusion.files.run_folder import STAGES, RunFolder, read_json
+from occfusion.files.run_folder import STAGES, RunFolder
 from occfusion.human import Avatar, load_avatar
-from occfusion.run.prepare import make_body
+from occfusion.human.avatar_file import make_avatar
+from occfusion.motion import Clip
+from occfusion.run.bodies import make_body
+from occfusion.run.sequence import ensure_sequence, read_run_clip, read_run_views
 from occfusion.settings.names import without_old_names
 from occfusion.settings.schema import Settings, load_settings
-from occfusion.types import Pose
+from occfusion.show.views import TRAIN, View
+from occfusion.types import Camera
+
+_PREFIX = "avatar."
+"""Of the avatar's tensors in a stage's checkpoint."""
 
 
 @dataclass(frozen=True)
-class FinishedRun:
-    """What a run folder holds for whoever renders or exports it.
+class LoadedRun:
+    """What a run folder holds for whoever shows it.
 
     Attributes:
         folder: the run folder.
         settings: of the run.
-        avatar: of its furthest stage.
-        upright_pose: the first training pose, standing at the origin and facing +z.
+        avatar: of one of its stages.
+        stage: which.
+        step: of the checkpoint that the avatar is from; None: the stage is done.
     """
 
-    folder: Path
+    folder: RunFolder
     settings: Settings
     avatar: Avatar
-    upright_pose: Pose
+    stage: str
+    step: int | None
+
+    @cached_property
+    def clip(self) -> Clip:
+        """The motion of its own sequence."""
+        ensure_sequence(self.folder, self.settings)
+        return read_run_clip(self.folder)
+
+    @cached_property
+    def betas(self) -> Tensor:
+        """Shape of its person, `[B]`."""
+        assert self.clip.betas is not None
+        return torch.tensor(self.clip.betas).float()
+
+    def views(self, group: str) -> list[View]:
+        """Returns its views: `show.views.TRAIN` or `HELD_OUT`."""
+        ensure_sequence(self.folder, self.settings)
+        return read_run_views(self.folder, group)
+
+    @cached_property
+    def pixel(self) -> float:
+        """What a pixel of the training pictures covers at the person, metres."""
+        camera = self.views(TRAIN)[0].camera
+        return float(distance_to(camera, self.clip)) / float(camera.K[0, 0])
+
+    @property
+    def remark(self) -> str:
+        """A sentence where the avatar is not what the run will end with, else nothing."""
+        if self.step is not None:
+            return f"{self.folder.path}: stage {self.stage} is not done; its checkpoint of step {self.step} is taken"
+        return ""
 
 
-def load_run(folder: Path) -> FinishedRun:
-    """Returns the settings of a run and the avatar of its furthest stage.
+def distance_to(camera: Camera, clip: Clip) -> float:
+    """Returns the median distance from a camera to the person of a sequence, metres."""
+    return float((torch.tensor(clip.transl).float() - camera.centre).norm(dim=1).median())
+
+
+def load_run(folder: Path, stage: str | None = None) -> LoadedRun:
+    """Returns a run with the avatar of its furthest stage, else with that of the last checkpoint.
+
+    Args:
+        folder: of the run.
+        stage: take that stage's avatar.
 
     Raises:
-        CheckpointError: not a run folder, or no stage has finished in it.
+        CheckpointError: not a run folder, or no avatar of that stage in it yet.
     """
     own = RunFolder(folder)
-    own.check_is_run()
-    config = OmegaConf.to_container(OmegaConf.load(own.config))
+    settings = read_settings(own)
+    for name in reversed(STAGES) if stage is None else (stage,):
+        left = own.stage(name)
+        if left.has_avatar:
+            return LoadedRun(own, settings, load_avatar(left.avatar, make_body(settings.body)), name, None)
+        if left.checkpoint.is_file():
+            avatar, step = _from_checkpoint(left.checkpoint, settings)
+            if avatar is not None:
+                return LoadedRun(own, settings, avatar, name, step)
+    if stage is not None:
+        there = [name for name in STAGES if own.stage(name).has_avatar]
+        raise CheckpointError(f"{folder}: no avatar of stage {stage}; there are {', '.join(there) or 'none'}")
+    raise CheckpointError(f"{folder} holds no avatar yet: let `python train.py output_dir={folder}` go on")
+
+
+def read_settings(folder: RunFolder) -> Settings:
+    """Returns the settings of a run.
+
+    Raises:
+        CheckpointError: not a run folder.
+    """
+    folder.check_is_run()
+    config = OmegaConf.to_container(OmegaConf.load(folder.config))
     assert isinstance(config, dict)
-    settings = load_settings(without_old_names({str(key): value for key, value in config.items()}))
-    for stage in reversed(STAGES):
-        left = own.stage(stage)
-        if left.avatar.is_file():
-            avatar = load_avatar(left.avatar, make_body(settings.body))
-            return FinishedRun(folder, settings, avatar, _upright_pose(read_json(left.record)["first_pose"]))
-    raise CheckpointError(f"{folder} holds no avatar yet: let `python train.py output_dir={folder}` finish")
+    return load_settings(without_old_names({str(key): value for key, value in config.items()}))
 
 
-def _upright_pose(pose: dict[str, list[float]]) -> Pose:
-    """Returns a pose that stands at the origin and faces +z."""
-    return Pose(torch.tensor(pose["betas"]), torch.zeros(3), torch.tensor(pose["body_pose"]), torch.zeros(3))
+def stages_with_avatar(folder: RunFolder) -> list[str]:
+    """Returns the stages of a run that are done and left an avatar."""
+    return [name for name in STAGES if folder.stage(name).has_avatar]
+
+
+def _from_checkpoint(path: Path, settings: Settings) -> tuple[Avatar | None, int]:
+    """Returns the avatar of a checkpoint and its step; None where the stage trains none."""
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, EOFError, OSError, pickle.UnpicklingError) as error:
+        raise CheckpointError(f"{path} is damaged ({str(error).splitlines()[0]})") from error
+    state, step = content["state_dict"], int(content["global_step"])
+    own = {name.removeprefix(_PREFIX): value for name, value in state.items() if name.startswith(_PREFIX)}
+    if not own:
+        return None, step
+    if "avatar" not in content:
+        raise CheckpointError(
+            f"{path}: of an older release, it does not say enough of its avatar; let the same command go on"
+        )
+    return make_avatar(path, make_body(settings.body), content["avatar"], own), step

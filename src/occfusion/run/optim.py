@@ -7,12 +7,10 @@ import time
 from dataclasses import asdict, dataclass
 
 from occfusion.cpu.processes import is_helper
-from occfusion.data.module import HumanDataModule
 from occfusion.data.sampling import spread
 from occfusion.files.run_folder import RunFolder
 from occfusion.files.sharing import shared_folder, take_or_make
 from occfusion.human import Avatar, load_avatar, write_gaussians_ply
-from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import accumulate, paint_observed
 from occfusion.priors.build_prior import make_score_prior
 from occfusion.run.training import AvatarTraining
@@ -106,24 +104,24 @@ class Optimisation:
             seed=settings.seed,
         )
         if optim.observed_colors and (settings.trainer.fast_dev_run or not checkpoint.is_file()):
-            stage.clock.restore(start_as_observed(avatar, training.data, renderer))
+            stage.clock.restore(start_as_observed(avatar, training))
         training.train(stage, optim.steps, seconds_before=0.0)
 
 
-def start_as_observed(avatar: Avatar, data: HumanDataModule, renderer: Renderer) -> float:
+def start_as_observed(avatar: Avatar, training: AvatarTraining) -> float:
     """Gives the Gaussians of a body the colours that the video shows there; returns the seconds that it took.
 
-    Those that hardly any frame shows get the colours of what is seen nearby. Begun grey, they would stay it, and
-    shine through in every frame that hides their like.
+    Those that hardly any frame shows get the colours of what is seen nearby, or those that a network expects there.
+    Begun grey, they would stay it, and shine through in every frame that hides their like.
 
     Args:
         avatar: before training, its Gaussians on the body; changed in place.
-        data: whose training frames.
-        renderer: draws the avatar.
+        training: whose training frames.
     """
-    started = time.monotonic()
+    started, data = time.monotonic(), training.data
     frames = (data.train_frame(k, truth=False) for k in spread(len(data.train_indices), LOOKED_AT))
-    paint_observed(avatar, accumulate(avatar.eval(), frames, renderer, OPACITY))
+    shown = accumulate(avatar.eval(), frames, training.renderer, OPACITY)
+    paint_observed(avatar, training.complete(avatar, shown))
     return time.monotonic() - started
 
 

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 import numpy as np
 import torch
 
 from occfusion.cpu.processes import is_helper, local_rank
-from occfusion.data import HumanDataModule, OcMotionDataModule, VideoDataModule, ZjuDataModule
+from occfusion.data import HumanDataModule
 from occfusion.data.sampling import spread
 from occfusion.data.scene_registration import SceneRegistration
-from occfusion.data.synthetic import make_synthetic
-from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.files.run_folder import RunFolder
-from occfusion.human import Avatar, Body, Gaussians, PoseSpline, embedded_body, load_body
+from occfusion.human import Avatar, Body, Gaussians, PoseSpline
 from occfusion.human.coverage import BodyCoverage, cover_body, sighting_of
 from occfusion.human.observability import ObservedSurface, observe_surface
 from occfusion.human.rendering import Renderer
-from occfusion.human.unblended import without_pose_blend_shapes
 from occfusion.inpaint.build_inpainter import check_inpainter
+from occfusion.inpaint.completion_net import load_completion_net
 from occfusion.observation.frames import ObservedFrame, observe_frames
 from occfusion.observation.key_light import KeyLight, find_key_light
 from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
@@ -30,24 +28,21 @@ from occfusion.plan.decisions import may_leave_out_networks, with_everything
 from occfusion.plan.make import Plan, make_plan, reached_sh_degree
 from occfusion.priors.build_prior import check_score_prior
 from occfusion.priors.calibration import measure_thickness
+from occfusion.run.bodies import make_body, make_data
 from occfusion.run.evaluation import evaluation_metric
 from occfusion.run.folder import claim_run_folder
 from occfusion.run.init import MaskCompletion
 from occfusion.run.optim import Optimisation
 from occfusion.run.refine import Refinement
+from occfusion.run.sequence import record_sequence
 from occfusion.run.training import AvatarTraining
-from occfusion.settings.schema import BodySettings, Settings
+from occfusion.settings.schema import Settings
 from occfusion.stages.targets import UncertainMasks
 
-DATA_MODULES: dict[str, Callable[..., HumanDataModule]] = {
-    "synthetic": make_synthetic, "zju": ZjuDataModule, "ocmotion": OcMotionDataModule, "video": VideoDataModule
-}  # fmt: skip
-"""What reads each `dataset=`; its arguments are the settings of `occfusion.settings.datasets`."""
 COVERAGE_VIEWS = 300
 """Training views that the body is held against, evenly spread; at 256 px a view takes about 20 ms."""
 THICKNESS_VIEWS = 60
 """Training views in which outlines of clothes are held against the body's, evenly spread."""
-REGISTER_SMPL = "register at smpl.is.tue.mpg.de, download the model, and pass body.path=FILE"
 
 
 @dataclass(frozen=True)
@@ -134,36 +129,6 @@ class Run:
 # --- observe -----------------------------------------------------------------------------------------------
 
 
-def make_body(settings: BodySettings) -> Body:
-    """Returns the body that the settings name.
-
-    Raises:
-        ConfigError: a licensed body without a file.
-    """
-    if settings.path is not None:
-        body = load_body(settings.path, cut_betas=settings.cut_betas)
-        return body if settings.pose_blend_shapes else without_pose_blend_shapes(body)
-    if settings.name == "anny":
-        return embedded_body()
-    raise ConfigError(
-        f"body={settings.name} needs body.path: {REGISTER_SMPL}; or use dataset=synthetic, which needs none"
-    )
-
-
-def make_data(settings: Settings, body: Body) -> HumanDataModule:
-    """Returns the DataModule that the settings name; nothing but its folder is looked at yet.
-
-    Raises:
-        ConfigError: as the module that it is.
-    """
-    own = settings.dataset
-    options = {field.name: getattr(own, field.name) for field in fields(own)}
-    name = options.pop("name")
-    if name == "synthetic":
-        options["fast_dev_run"] = settings.trainer.fast_dev_run
-    return DATA_MODULES[name](body=body, seed=settings.seed, **options)
-
-
 def observe(settings: Settings) -> Observed:
     """Opens the data and returns what they show, as far as the settings leave anything to decide by it.
 
@@ -242,9 +207,12 @@ def decide(settings: Settings, observed: Observed) -> Plan:
         observed.key_light,
         observed.registered,
         observed.surface,
+        observed.coverage,
         observed.renderer.device,
     )
     planned = plan.settings
+    if {"optim", "refine"} & set(plan.stages) and planned.optim.unseen_colors == "prior":
+        load_completion_net(planned.prior.completion.weights)  # small: loaded to see that it can be
     if "optim" in plan.stages and planned.optim.sds.is_used:
         check_score_prior(asdict(planned.prior))
     if "refine" in plan.stages and planned.refine.references.source == "prior" and plan.inpaints:
@@ -268,6 +236,7 @@ def claim(settings: Settings, observed: Observed, plan: Plan, *, folder_chosen_b
         seen = None if observed.coverage is None else observed.coverage.json()
         write_json(folder.plan, plan.json() | {"coverage": seen, "scene": observed.summary})
         observed.data.store_occlusion(folder.occlusion)
+        record_sequence(folder, observed.data, settings)
         _tell("data", observed.data.taken.lines())
         if observed.coverage is not None:
             _tell("directions", [observed.coverage.text(), *observed.coverage.warnings()])

@@ -18,10 +18,12 @@ from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.files.table import read_table, write_table
 from occfusion.prior_training.appearance_task import AppearanceTask, Coarse, CoarseScene
+from occfusion.prior_training.completion_task import CompletionTask
 from occfusion.prior_training.silhouette_task import SilhouetteTask
 from occfusion.prior_training.task import PriorTask
-from occfusion.priors.embedded.network_file import save_net
+from occfusion.priors.embedded.network_file import load_net, save_net
 from occfusion.run.folder import claim_run_folder
+from occfusion.run.optim import Optimisation
 from occfusion.run.prepare import build, claim, decide, observe
 from occfusion.run.training import fit
 from occfusion.settings.datasets import SyntheticSettings
@@ -50,14 +52,15 @@ def run_prior_training(settings: Settings, *, folder_chosen_by_user: bool) -> di
     task = _make_task(training, place, settings)
     task.prepare()
     L.seed_everything(settings.seed, verbose=False)  # the same network whether the corpus was there or not
-    stage = PriorStage(task.make_net(), training, seed=settings.seed)
+    net, started_from = _first_net(task, training)
+    stage = PriorStage(net, training, seed=settings.seed)
     curve = PriorCurve(folder.curve, training, task)
     batches = DataLoader(_Steps(task.batch, lambda: stage.global_step), batch_size=None)
     fit(stage, batches, settings, folder, folder.checkpoint, steps=training.steps, measuring=[curve])
     trained = stage.finished()
     figures = task.finish(trained, stage.device)
     card = {
-        "training": asdict(training) | {"seed": settings.seed},
+        "training": {**asdict(training), "seed": settings.seed, "corpus": None, "start": started_from},
         "train_seconds": round(stage.clock.seconds, 1),
         "threads": torch.get_num_threads(),
         "validation": curve.latest() | figures,
@@ -115,19 +118,38 @@ def train_coarse(settings: Settings, scene: CoarseScene, place: Path) -> Coarse:
     assert observed.frames is not None
     plan = decide(own, observed)
     folder = claim(own, observed, plan, folder_chosen_by_user=True)
-    avatar, data = build(own, observed, plan, folder).run_stages(), observed.data
+    run = build(own, observed, plan, folder)
+    (training,) = (stage.training for stage in run.stages if isinstance(stage, Optimisation))
+    avatar, data = run.run_stages(), observed.data
     frames = [data.train_frame(k, complete="init" in plan.stages) for k in range(len(data.train_indices))]
-    return Coarse(avatar.eval(), frames, observed.frames, observed.renderer)
+    return Coarse(avatar.eval(), frames, observed.frames, observed.renderer, training.complete)
 
 
 def _make_task(training: PriorTrainingSettings, place: Path, settings: Settings) -> PriorTask[Any]:
     if training.network == SilhouetteTask.kind:
         return SilhouetteTask(training, place, settings.seed)
+    if training.network == CompletionTask.kind:
+        return CompletionTask(training, place, settings.seed)
     if training.network == AppearanceTask.kind:
         return AppearanceTask(
             training, place, settings.seed, optim_hash(settings), partial(train_coarse, settings)
         )
-    raise ConfigError(f"prior_training.network={training.network!r}: choose silhouette or appearance")
+    raise ConfigError(
+        f"prior_training.network={training.network!r}: choose silhouette, appearance or completion"
+    )
+
+
+def _first_net(task: PriorTask[Any], training: PriorTrainingSettings) -> tuple[torch.nn.Module, str | None]:
+    """Returns the network that training begins with, and the hash of the weights that it has of an earlier one."""
+    net: torch.nn.Module = task.make_net()
+    if training.start is None:
+        return net, None
+
+    def make(*_: object) -> torch.nn.Module:
+        return net
+
+    _, card = load_net(training.start, task.kind, task.size, make, "prior_training.start", task.version)
+    return net.train().requires_grad_(True), str(card["sha256"])
 
 
 class _Steps(IterableDataset[Batch]):

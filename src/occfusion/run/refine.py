@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import torch
 
 from occfusion.data.module import HumanDataModule
-from occfusion.files.run_folder import RunFolder
 from occfusion.human import Avatar, load_avatar
-from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import accumulate, paint_unseen
 from occfusion.inpaint.build_inpainter import make_inpainter
 from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
-from occfusion.observation.frames import ObservedFrame
 from occfusion.plan.make import refined_sh_degree, steps_of
 from occfusion.run.training import AvatarTraining, training_truths
 from occfusion.settings.schema import Settings
@@ -51,10 +47,8 @@ class Refinement:
             return load_avatar(own.avatar, avatar.body)
         training.warm_up("refine")
         coarse = hashlib.sha256(folder.stage("optim").avatar.read_bytes()).hexdigest()[:16]
-        references, seconds = make_references(
-            settings, folder, training.data, avatar, training.observed_frames,
-            {"data": training.data_hash, "avatar": coarse}, renderer,
-        )  # fmt: skip
+        identity = {"data": training.data_hash, "avatar": coarse}
+        references, seconds = make_references(training, avatar, identity)
         is_held = refine.hidden.target == "outline" and refine.hidden.effective_weight > 0
         outlines = self._outlines(avatar) if is_held else {}
         avatar.gaussians.allocate_bands(refined_sh_degree(settings))
@@ -88,29 +82,21 @@ class Refinement:
 
 
 def make_references(
-    settings: Settings,
-    folder: RunFolder,
-    data: HumanDataModule,
-    avatar: Avatar,
-    observed_frames: Sequence[ObservedFrame],
-    identity: dict[str, str],
-    renderer: Renderer,
+    training: AvatarTraining, avatar: Avatar, identity: dict[str, str]
 ) -> tuple[References, float]:
     """Writes the references of a run; returns them and the seconds that it took.
 
     Args:
-        settings: of the run.
-        folder: of the run.
-        data: with the complete masks.
-        avatar: the coarse avatar; what no frame shows of it is given the colours of what is seen nearby.
-        observed_frames: of all training frames.
+        training: of the run's avatar; the inpainter runs where its renderer draws.
+        avatar: the coarse avatar; what no frame shows of it is given the colours of what is seen nearby, or completed.
         identity: what the references depend on besides the inpainter: hashes of data and avatar.
-        renderer: draws the avatar; the inpainter runs where it draws.
 
     Raises:
         Interrupted: a signal stopped it; what is written stays.
     """
     started = time.monotonic()
+    settings, folder, data = training.planned, training.folder, training.data
+    observed_frames, renderer = training.observed_frames, training.renderer
     if not any(observed_frame.evidence.occluded for observed_frame in observed_frames):
         print(f"refine: none of {len(observed_frames)} frames is occluded, none is inpainted")
         return References(folder.inpainted, frozenset()), 0.0
@@ -124,7 +110,7 @@ def make_references(
     )
     frames = (data.train_frame(k, truth=False) for k in range(len(observed_frames)))
     stage.accumulated = accumulate(avatar, frames, renderer)
-    paint_unseen(avatar, stage.accumulated)
+    paint_unseen(avatar, training.complete(avatar, stage.accumulated))
     wanted = stage.wanted
     if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
         wanted = [k for k in wanted if k == data.position_at(0)]

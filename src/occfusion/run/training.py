@@ -9,16 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import numpy as np
 
 from occfusion.cpu.processes import is_helper, tell_helpers
 from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.files.run_folder import RunFolder
+from occfusion.geometry.normals import vertex_normals
 from occfusion.human import Avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.human.observability import CanonicalView, ObservedSurface, canonical_views
 from occfusion.human.rendering import Renderer
+from occfusion.inpaint.accumulation import Accumulated
+from occfusion.inpaint.completion import ColorCompleter, write_completion
 from occfusion.observation.frames import ObservedFrame
 from occfusion.perceptual import PerceptualMetric
 from occfusion.settings.schema import Settings
@@ -150,10 +154,31 @@ class AvatarTraining:
         if not chosen.is_used or observed is None:
             return None
         views: list[CanonicalView] = []
+        vertices, faces = avatar.da_vertices.cpu().numpy(), avatar.body.faces.cpu().numpy()
         if chosen.are_views_used:
-            vertices, faces = avatar.da_vertices.cpu().numpy(), avatar.body.faces.cpu().numpy()
             views = canonical_views(vertices, faces, observed.known, observed.thickness, observed.pixel)
-        return SurfacePrior(observed.known, views, chosen, renderer=self.renderer, seed=self.settings.seed)
+        normals = vertex_normals(vertices.astype(np.float64), faces)
+        return SurfacePrior(
+            observed.known,
+            normals,
+            observed.thickness,
+            views,
+            chosen,
+            renderer=self.renderer,
+            seed=self.settings.seed,
+        )
+
+    def complete(self, avatar: Avatar, accumulated: Accumulated) -> Accumulated:
+        """Returns what the video shows of the Gaussians, with the colours of the rest completed where the plan says so.
+
+        The completed colours of the body stay in the run folder.
+        """
+        if self.planned.optim.unseen_colors != "prior":
+            return accumulated
+        completer = ColorCompleter(avatar.body, self.planned.prior.completion, self.renderer.device)
+        completed, completion = completer.of_avatar(avatar, accumulated)
+        write_completion(self.folder.completion, self.folder.completion_picture, completion, completer.body)
+        return completed
 
     def train(self, stage: AvatarStage, steps: int, *, seconds_before: float) -> None:
         """Trains a stage and writes what later stages and users take of it.

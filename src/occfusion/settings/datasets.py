@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from occfusion.data.layouts import OCMOTION, ZJU
-from occfusion.data.module import MAX_SIZE, MIN_SIZE
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.ocmotion.ocmotion_protocols import PROTOCOLS as OCMOTION_PROTOCOLS
+from occfusion.data.prepare import MAX_SIZE, MIN_SIZE
 from occfusion.data.video.video_protocols import PROTOCOLS as VIDEO_PROTOCOLS
 from occfusion.data.zju.zju_layout import AUTO_FIT, FITS
 from occfusion.data.zju.zju_protocols import PRESETS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from occfusion.inpaint.completion import CompletionSettings
 from occfusion.inpaint.embedded_inpainter import EmbeddedInpainterSettings
 from occfusion.inpaint.sd15_inpainter import Sd15InpaintSettings
 from occfusion.priors.embedded.silhouette_prior import EmbeddedSettings
@@ -16,6 +17,7 @@ class EmbeddedPriorSettings(EmbeddedSettings):
 
     name: str = "embedded"
     inpaint: EmbeddedInpainterSettings = field(default_factory=EmbeddedInpainterSettings)
+    completion: CompletionSettings = field(default_factory=CompletionSettings)
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,7 @@ class Sd15PriorSettings(Sd15Settings):
     name: str = "sd15"
     score: Sd15ScoreModels = field(default_factory=Sd15ScoreModels)
     inpaint: Sd15InpaintSettings = field(default_factory=Sd15InpaintSettings)
+    completion: CompletionSettings = field(default_factory=CompletionSettings)
 
 
 PriorSettings = EmbeddedPriorSettings | Sd15PriorSettings

@@ -253,6 +253,9 @@ def settings_hash(settings: Settings) -> str:
         del relevant["init"]
         if not is_distilled:  # no prior is asked
             del relevant["prior"]
+    completion = relevant.get("prior", {}).pop("completion", None)
+    if settings.optim.unseen_colors != "nearest":
+        relevant["completion"] = completion
     if not is_distilled:
         del relevant["optim"]["sds"]
     for key in ("checkpoint_every", "enable_progress_bar"):

@@ -50,7 +50,7 @@ class InitSettings:
 class PriorTrainingSettings:
     """Training of an embedded prior (`stage=prior`)."""
 
-    network: str = setting("silhouette", "the network", choices=("silhouette", "appearance"))
+    network: str = setting("silhouette", "the network", choices=("silhouette", "appearance", "completion"))
     widths: list[int] = setting([48, 96, 160], "channels of the network at each level", 1, 4096)
     depth: int = setting(2, "its residual blocks below the first level", 1, 100)
     steps: int = setting(6500, "steps of the training", 1, MANY)
@@ -61,9 +61,12 @@ class PriorTrainingSettings:
         0.4, "share of the examples at t = 1, where the prediction is the posterior mean", 0, 1
     )
     averaging: float = setting(0.998, "of the weights: what is kept of their mean at each step", 0, 1)
-    examples: int = setting(20_000, "silhouettes of the silhouette network's corpus", 1, MANY)
+    examples: int = setting(20_000, "of the silhouette or the completion network's corpus", 1, MANY)
     subjects: int = setting(14, "scenes of the appearance network's corpus", 1, 100_000)
-    validation: int = setting(96, "silhouettes that are measured on", 1, MANY)
+    validation: int = setting(96, "examples that are measured on", 1, MANY)
+    start: str | None = setting(
+        None, "a `.safetensors` file of the same network, whose weights it begins with; null: from nothing"
+    )
     validation_first_second: float = setting(60.0, "of training at which it is measured first", 0.01, 1e6)
     corpus: str | None = setting(None, "folder of the corpus; null: in the run folder")
 
@@ -194,6 +197,10 @@ class SurfaceSettings:
     backface: float = setting(
         1.0, "weight of what shines through from the body's other side where no frame shows it", 0
     )
+    hold: bool = setting(
+        True,
+        "bound how far Gaussians stand off clothes and body, and reach out of them, where the depth is not known",
+    )
     every: int = setting(
         4, "steps from one such view to the next, which then has that many times the weight", 1, 10_000
     )
@@ -201,7 +208,7 @@ class SurfaceSettings:
     @property
     def is_used(self) -> bool:
         """Whether any term has a weight."""
-        return self.depth > 0 or self.extent > 0 or self.are_views_used
+        return self.hold or self.depth > 0 or self.extent > 0 or self.are_views_used
 
     @property
     def are_views_used(self) -> bool:
@@ -284,6 +291,12 @@ class OptimSettings(AvatarSettings):
     )
     observed_colors: bool = setting(
         True, "Gaussians start with the colours that the video shows, instead of grey; the paper: grey"
+    )
+    unseen_colors: str = setting(
+        "auto",
+        "colours of what no frame shows: `nearest`: of what is seen nearby; `prior`: a network completes them; `auto`: "
+        "the network where the video leaves much of the body unseen",
+        choices=("auto", "nearest", "prior"),
     )
     key_light: bool = setting(
         True, "estimate a lamp from the video, by which colours change as surfaces turn; the paper has none"

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from occfusion.geometry.boxes import person_box
 from occfusion.human.avatar import Avatar
+from occfusion.human.avatar_file import describe_avatar
 from occfusion.human.densify import Densifier
 from occfusion.human.gaussians import means_rate
 from occfusion.human.rendering import Renderer
@@ -170,6 +171,8 @@ class AvatarStage(Stage):
         degree = min(settings.sh_degree, step // settings.sh_every)
         self.avatar.active_sh_degree = max(self.avatar.active_sh_degree, degree)
         self.avatar.prepare(step)
+        if self.surface is not None:
+            self.surface.hold(self.avatar)
         decay = settings.rates_at_end ** (self.global_step / settings.steps)
         for group in self._adam().param_groups:
             is_means = group["name"] == "means"
@@ -196,8 +199,9 @@ class AvatarStage(Stage):
     # -- resuming ---------------------------------------------------------------------------------------------
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Adds the training seconds."""
+        """Adds the training seconds, and what the avatar's tensors do not say, for whoever looks at it meanwhile."""
         checkpoint["train_seconds"] = self.clock.seconds
+        checkpoint["avatar"] = describe_avatar(self.avatar)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Takes the training seconds of the earlier run over."""

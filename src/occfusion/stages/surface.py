@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from occfusion.geometry.rotation import quaternion_to_matrix
 from occfusion.human.avatar import Avatar
 from occfusion.human.observability import CanonicalView, Observability
 from occfusion.human.rendering import Renderer
@@ -18,6 +21,14 @@ DEPTH_SCALE = 0.010
 """Metres that a Gaussian may stand off the body along a direction of which nothing is known, before it counts."""
 EXTENT_SCALE = 0.005
 """Standard deviation along it, metres, likewise."""
+
+OUTWARDS, INWARDS = 0.005, 0.015
+"""Metres that a Gaussian may stand outside of clothes, and inside the body, where nothing is known of its depth."""
+THICK, LONG = 0.004, 0.008
+"""Standard deviation that it may have there across the surface, and along the direction of which nothing is known;
+vertices of a body are about 0.017 m apart."""
+HELD_FROM = 0.2
+"""Ignorance from which on a Gaussian is bounded."""
 
 
 class SurfacePrior:
@@ -32,6 +43,8 @@ class SurfacePrior:
 
     Args:
         known: what the video says of the surface.
+        normals: of the canonical body, `[V, 3]`.
+        thickness: how far clothes stand off at each place, `[V]`, metres.
         views: of the canonical body; used only where `outline` or `backface` have a weight.
         settings: weights, in multiples of the colours' L1.
         renderer: draws the canonical views.
@@ -41,6 +54,8 @@ class SurfacePrior:
     def __init__(
         self,
         known: Observability,
+        normals: NDArray[np.float64],
+        thickness: NDArray[np.float64],
         views: Sequence[CanonicalView],
         settings: SurfaceSettings,
         *,
@@ -53,6 +68,8 @@ class SurfacePrior:
         self._views = [_on(view, renderer.device) for view in views]
         self._axis = torch.from_numpy(known.axis).float().to(renderer.device)
         self._ignorance = torch.from_numpy(known.ignorance).float().to(renderer.device)
+        self._normal = torch.from_numpy(normals).float().to(renderer.device)
+        self._thickness = torch.from_numpy(thickness).float().clamp(min=0.0).to(renderer.device)
 
     def weight(self, name: str) -> float:
         """Returns the weight of a term; every k-th step at k times the weight leaves the expected gradient as it is."""
@@ -74,6 +91,29 @@ class SurfacePrior:
         if (settings.outline or settings.backface) and step % settings.every == 0:
             terms |= self._seen_from_a_side(avatar, step)
         return terms
+
+    @torch.no_grad()
+    def hold(self, avatar: Avatar) -> None:
+        """Brings Gaussians back that left the room that the video gives them; changes them in place.
+
+        A penalty that is weighed against colours is paid by those that a wrong pose pulls hardest. Bounds are not: in
+        units of what is allowed where nothing is known, the room grows as the ignorance falls.
+        """
+        gaussians = avatar.gaussians
+        rows = gaussians.vertex_index
+        held = (self._ignorance[rows] >= HELD_FROM).nonzero()[:, 0]
+        if not self.settings.hold or len(held) == 0:
+            return
+        rows = rows[held]
+        room, normal, axis = 1.0 / self._ignorance[rows], self._normal[rows], self._axis[rows]
+        means = gaussians.means[held]
+        height = ((means - avatar.da_vertices[rows]) * normal).sum(dim=1)
+        allowed = height.clamp(min=-INWARDS * room, max=self._thickness[rows] + OUTWARDS * room)
+        gaussians.means[held] = means + (allowed - height)[:, None] * normal
+        turns = quaternion_to_matrix(gaussians.raw_quats[held])
+        across, along = ((turns * direction[:, :, None]).sum(dim=1).abs() for direction in (normal, axis))
+        longest = room[:, None] * torch.minimum(THICK / across.clamp(min=1e-3), LONG / along.clamp(min=1e-3))
+        gaussians.log_scales[held] = torch.minimum(gaussians.log_scales[held], longest.log())
 
     def _seen_from_a_side(self, avatar: Avatar, step: int) -> dict[str, Tensor]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_039 + step)

@@ -39,6 +39,7 @@ class Figure:
         uv: texture coordinates of the corners, `[F, 3, 2]`.
         layer: texture layer of each face, `[F]`.
         template: place of each vertex on the template, `[V, 3]`.
+        group: what each vertex belongs to (`fullbody.GROUPS`), `[V]`.
         cloth: how far cloth stands off, `[V]`, metres; 0 on skin and hair.
         hanging: 0..1 share by which a vertex swings freely (skirt, long hair), `[V]`.
     """
@@ -50,6 +51,7 @@ class Figure:
     uv: Floats
     layer: NDArray[np.int64]
     template: Floats
+    group: NDArray[np.int64]
     cloth: Floats
     hanging: Floats
 
@@ -89,6 +91,7 @@ def dress(subject: Subject) -> Figure:
         uv=atlas.uv[shown],
         layer=atlas.layer[shown],
         template=body.template[used],
+        group=body.vertex_group[used],
         cloth=cloth[used],
         hanging=hanging[used],
     )

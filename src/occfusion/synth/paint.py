@@ -34,7 +34,18 @@ def paint(subject: Subject, texel: float) -> NDArray[np.float32]:
     """
     halve = halvings(texel)
     atlas = load_atlas(SIZE >> max(halve - 1, 0))
-    colours = np.zeros((len(atlas.texels), 3))
+    return fill(atlas, paint_places(subject, atlas.points, atlas.group), min(halve, 1))
+
+
+def paint_places(subject: Subject, points: Floats, group: NDArray[np.int64]) -> Floats:
+    """Returns the person's colours at places of the template, `[N, 3]` in 0..1.
+
+    Args:
+        subject: the person.
+        points: places, `[N, 3]`, metres.
+        group: what each belongs to (`fullbody.GROUPS`), `[N]`.
+    """
+    colours = np.zeros((len(points), 3))
     painters = {
         SKIN: _paint_body,
         SKIRT: _paint_skirt,
@@ -42,10 +53,10 @@ def paint(subject: Subject, texel: float) -> NDArray[np.float32]:
         LEFT_EYE: _paint_eye,
         RIGHT_EYE: _paint_eye,
     }
-    for group, painter in painters.items():
-        own = atlas.group == group
-        colours[own] = painter(atlas.points[own], subject)
-    return fill(atlas, np.clip(colours, 0.0, 1.0), min(halve, 1))
+    for which, painter in painters.items():
+        own = group == which
+        colours[own] = painter(points[own], subject)
+    return np.clip(colours, 0.0, 1.0)
 
 
 def _over(colours: Floats, mask: Floats, paint_: Floats) -> Floats:

@@ -1,0 +1,145 @@
+"""Renders an embedded person as a plain video over a rendered background, with the truth beside it.
+
+    python scripts/render_plain_clip.py 101 --output clips/101            # 100 frames, 1280 x 720
+    python scripts/render_plain_clip.py 101 --bar 0.5 --output clips/101b # half hidden in 80 % of the frames
+
+Writes `clip.mp4`, and `truth.npz`: `joints` N x 24 x 3 (camera, metres), `K`, `betas`, `poses`, `transl` (camera);
+`masks/` the visible person, `whole/` the whole one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from occfusion.files.atomic import atomic_write, write_png
+from occfusion.files.video import write_frames
+from occfusion.synth.disturb import person_mask
+from occfusion.synth.fullbody import bone_transforms, load_model_body
+from occfusion.synth.rotations import (
+    axis_angle_from_quaternion,
+    matrix_from_axis_angle,
+    multiply,
+    quaternion_from_axis_angle,
+)
+from occfusion.synth.scene import Scene
+from occfusion.synth.shading import draw, lay_over
+from occfusion.synth.spec import SceneSpec
+from occfusion.synth.studio import Y_UP_TO_Z_UP
+
+WIDTH, HEIGHT, FPS = 1280, 720, 10.0
+FOCAL = 1024.0
+AWAY, LENS, AIM = 3.3, 1.35, 0.95  # metres
+
+
+def camera() -> tuple[np.ndarray, np.ndarray]:
+    """Returns K `[3, 3]` and world to camera `[4, 4]`."""
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1.0]])
+    centre = np.array([0.0, -AWAY, LENS])
+    forward = np.array([0.0, 0.0, AIM]) - centre
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward])
+    view = np.eye(4)
+    view[:3, :3], view[:3, 3] = R, -R @ centre
+    return K, view
+
+
+def background(seed: int) -> np.ndarray:
+    """Returns a room, `[HEIGHT, WIDTH, 3]`, 0..255: a papered wall with pictures and shelves, a wooden floor."""
+    rng = np.random.default_rng([991, seed])
+    out = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    edge = int(0.74 * HEIGHT)
+    out[:edge] = rng.uniform(110, 190, 3)
+    out[edge:] = rng.uniform(70, 130, 3) * [1.1, 0.9, 0.7]
+    for size, amount in ((160, 25), (40, 12), (9, 9), (3, 6)):
+        coarse = rng.normal(0, amount, (HEIGHT // size + 2, WIDTH // size + 2, 1)).astype(np.float32)
+        out += cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)[..., None]
+    for _ in range(9):
+        w, h = rng.integers(60, 220), rng.integers(50, 240)
+        x, y = rng.integers(0, WIDTH - w), rng.integers(0, edge - 20)
+        out[y : min(y + h, edge), x : x + w] *= rng.uniform(0.4, 1.5, 3)
+        cv2.rectangle(
+            out, (int(x), int(y)), (int(x + w), int(min(y + h, edge))), tuple(rng.uniform(20, 90, 3)), 3
+        )
+    for k in range(14):
+        x = k * WIDTH // 14
+        cv2.line(out, (x, edge), (int((x - WIDTH / 2) * 2 + WIDTH / 2), HEIGHT), (50, 40, 30), 2)
+    out = cv2.GaussianBlur(out, (0, 0), 0.8) + rng.normal(0, 2.0, out.shape)
+    return np.clip(out, 0, 255).astype(np.float32)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("subject", type=int)
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument(
+        "--bar", type=float, default=0.0, help="share of the person's width behind a fixed bar"
+    )
+    parser.add_argument("--output", type=Path, required=True)
+    arguments = parser.parse_args()
+    scene = Scene(SceneSpec(arguments.subject, "hard", frames=arguments.frames, cameras=1, image_size=720))
+    K, view = camera()
+    room = background(arguments.subject)
+    body = load_model_body()
+    rest = body.template + body.shapedirs @ scene.subject.betas
+    at_rest = body.regressor @ rest
+    turn = view[:3, :3] @ Y_UP_TO_Z_UP
+    quaternion = quaternion_of(turn)
+    joints, poses, transl, pictures = [], [], [], []
+    for frame in range(arguments.frames):
+        pose = scene.take.poses[frame]
+        transforms = bone_transforms(pose, at_rest, body.parents)
+        world = (
+            (transforms[:, :3, :3] @ at_rest[:, :, None])[..., 0]
+            + transforms[:, :3, 3]
+            + scene.take.transl[frame]
+        )
+        joints.append(world @ turn.T + view[:3, 3])
+        root = multiply(quaternion, quaternion_from_axis_angle(pose[:3]))
+        poses.append(np.concatenate([axis_angle_from_quaternion(root), pose[3:]]))
+        transl.append(joints[-1][0] - at_rest[0])
+        picture, mask = shot(scene, frame, K, view, room)
+        write_png(arguments.output / "whole" / f"{frame:06d}.png", mask)
+        if arguments.bar and frame < 0.8 * arguments.frames:
+            columns = np.flatnonzero(mask.any(axis=0))
+            wide = arguments.bar * (columns[-1] - columns[0])
+            x0 = int((columns[-1] + columns[0]) / 2 - wide / 2)
+            picture[:, x0 : x0 + int(wide)] = room[:, :1] * 0.6
+            mask[:, x0 : x0 + int(wide)] = False
+        write_png(arguments.output / "masks" / f"{frame:06d}.png", mask)
+        pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
+    write_frames(arguments.output / "clip.mp4", pictures, FPS)
+    with atomic_write(arguments.output / "truth.npz") as stream:
+        np.savez(
+            stream, joints=np.stack(joints), K=K, betas=scene.subject.betas, poses=np.stack(poses),
+            transl=np.stack(transl),
+        )  # fmt: skip
+
+
+def quaternion_of(matrix: np.ndarray) -> np.ndarray:
+    vector = cv2.Rodrigues(matrix)[0].reshape(3)
+    assert np.allclose(matrix_from_axis_angle(vector), matrix)
+    return quaternion_from_axis_angle(vector)
+
+
+def shot(
+    scene: Scene, frame: int, K: np.ndarray, view: np.ndarray, room: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the picture and the mask of the person."""
+    window = draw(scene.mesh(frame), view, K, WIDTH)
+    picture = np.zeros((WIDTH, WIDTH, 3), np.float32)
+    picture[:HEIGHT] = room
+    coverage = np.zeros((WIDTH, WIDTH), np.float32)
+    if window is not None:
+        nothing = np.full(window.depth.shape, np.inf, np.float32)
+        lay_over(picture, coverage, window.x, window.y, window.depth, window.colour, nothing, window.colour)
+    return picture[:HEIGHT], person_mask(coverage[:HEIGHT])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""`python -m occfusion import CLIP --output DIR`: from a video of a person to a data folder."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from occfusion.cli import check
+from occfusion.errors import ConfigError
+from occfusion.fitting.pipeline import Fit, fit_body
+from occfusion.footage.clip import SIDE
+from occfusion.human import Body, embedded_body, load_body
+from occfusion.importing.adopt import adopt
+from occfusion.importing.bodies import TOOLS
+from occfusion.importing.folder import covered_share, require_free, said, training_command, write_folder
+from occfusion.importing.sources import Choice, Sources, gather
+
+NOT_TRUSTED = 2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of the verb."""
+    parser.add_argument("clip", type=Path, metavar="CLIP", help="a video, or a folder of its frames")
+    parser.add_argument("--output", type=Path, required=True, help="the data folder to make")
+    parser.add_argument(
+        "--from", dest="given", nargs="+", metavar="[TOOL] FILE",
+        help=f"the body from another tool's file ({', '.join(TOOLS)}; told from the content where TOOL is left out)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--from-person", type=int, help="the tool's number of the person (default: in most frames)"
+    )
+    add_choice(parser)
+
+
+def add_choice(parser: argparse.ArgumentParser) -> None:
+    """Declares what `import` and `fit` share."""
+    parser.add_argument("--body", type=Path, help="an SMPL file to fit (default: the free body)")
+    parser.add_argument("--every", type=int, help="take each so-manyth frame (default: at most 30 a second)")
+    parser.add_argument("--frames", type=int, help="at most so many frames, evenly spread")
+    parser.add_argument("--start", type=int, default=0, help="first frame (default: 0)")
+    parser.add_argument("--stop", type=int, help="frame after the last (default: the end)")
+    parser.add_argument(
+        "--size", type=int, default=SIDE, help=f"longer side of the pictures (default: {SIDE})"
+    )
+    parser.add_argument(
+        "--rotate", type=int, default=0, choices=(0, 90, 180, 270), help="turn clockwise, degrees"
+    )
+    parser.add_argument("--person", type=int, help="which of several people, from 1")
+    parser.add_argument(
+        "--focal", type=float, help="focal length in pixels of the file (default: EXIF, else a guess)"
+    )
+    parser.add_argument("--seed", type=int, default=0)
+
+
+def choice_of(arguments: argparse.Namespace) -> Choice:
+    """Returns the frames and the person that the arguments ask for.
+
+    Raises:
+        ConfigError: out of range.
+    """
+    if arguments.frames is not None and arguments.frames < 1:
+        raise ConfigError(f"--frames {arguments.frames}: give 1 or more.")
+    if not 128 <= arguments.size <= 4096:
+        raise ConfigError(f"--size {arguments.size}: give 128 to 4096 pixels.")
+    return Choice(
+        arguments.every, arguments.frames, arguments.start, arguments.stop, arguments.size, arguments.rotate,
+        arguments.person, arguments.focal,
+    )  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Imports; returns 0, or 2 where the fit is not to be trusted."""
+    require_free(arguments.output)
+    if arguments.given is not None and len(arguments.given) > 2:
+        raise ConfigError("--from takes a tool's name and its file, or the file alone.")
+    console, begun = Console(), time.perf_counter()
+    with Progress(console) as progress:
+        sources = gather(arguments.clip, choice_of(arguments), advance=progress)
+        body = embedded_body() if arguments.body is None else load_body(arguments.body)
+        if arguments.given is None:
+            fit = fit_sources(body, sources, arguments.seed, progress)
+        else:
+            tool = arguments.given[0] if len(arguments.given) == 2 else None
+            sources, fit = adopt(
+                Path(arguments.given[-1]), tool, sources, body,
+                embedded=arguments.body is None, person=arguments.from_person,
+            )  # fmt: skip
+    return finish(console, arguments, sources, fit, body, begun)
+
+
+def fit_sources(body: Body, sources: Sources, seed: int, advance: Callable[[str], None]) -> Fit:
+    """Returns the body fitted to what was gathered."""
+    seconds = sources.shot.seconds
+    if sources.clip.pictures:  # a folder has no clock: its frames are taken for a tenth of a second apart
+        seconds = [0.1 * second for second in seconds]
+    return fit_body(
+        body, sources.points, sources.masks, sources.intrinsics.K, seconds,
+        focal_known=sources.intrinsics.known, hidden=sources.hidden, seed=seed, advance=advance,
+    )  # fmt: skip
+
+
+def finish(
+    console: Console, arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body, begun: float
+) -> int:
+    """Writes the folder, prints the report, checks the folder, and prints the command that trains on it."""
+    output = arguments.output
+    facts = {
+        "clip": sources.clip.path.name,
+        "size": list(sources.shot.size),
+        "body": "free body" if arguments.body is None else arguments.body.name,
+        "seconds": round(time.perf_counter() - begun, 1),
+    }
+    write_folder(output, sources, fit, body, embedded=arguments.body is None, facts=facts)
+    console.print(said(output), highlight=False, soft_wrap=True, markup=False)
+    console.print(
+        f"overlay            {output / 'overlay.mp4'}, {output / 'overlay.png'}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    words = [str(output), "--layout", "video", "--overlay", str(output / "check.png")]
+    parser = argparse.ArgumentParser()
+    check.add_arguments(parser)
+    words += [] if arguments.body is None else ["--body", str(arguments.body)]
+    failed = check.run(parser.parse_args(words))
+    if not fit.quality.trusted:
+        console.print(
+            "The fit is NOT trusted: the body does not lie on the person. Look at the overlay; the body of another "
+            "tool (--from), the true focal length (--focal) or a part of the clip (--start, --stop) may help.",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip
+        return NOT_TRUSTED
+    if failed:
+        return failed
+    command = training_command(output, len(sources.shot), arguments.body, covered_share(body, fit, sources))
+    console.print(
+        f"\nTrain on it; the last fifth of the frames is held out:\n\n{command}",
+        highlight=False,
+        soft_wrap=True,
+        markup=False,
+    )
+    return 0
+
+
+class Progress:
+    """One line that says how far an import is; nothing where the output is no terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._status = console.status("reading")
+        self._counts: dict[str, int] = {}
+
+    def __enter__(self) -> Progress:
+        """Starts the line."""
+        self._status.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Takes the line away."""
+        self._status.__exit__(None, None, None)
+
+    def __call__(self, stage: str) -> None:
+        """Counts one step of a stage."""
+        self._counts[stage] = self._counts.get(stage, 0) + 1
+        self._status.update(f"{stage} {self._counts[stage]}")

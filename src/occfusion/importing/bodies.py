@@ -1,0 +1,304 @@
+"""Bodies that other tools found in a video: each tool's own file, as its program writes it.
+
+| tool | file | written by |
+|---|---|---|
+| `gvhmr` | `hmr4d_results.pt` | zju3dv/GVHMR `tools/demo/demo.py`, `hmr4d/model/gvhmr/gvhmr_pl_demo.py` (2024-09) |
+| `gem` | `smpl_params.pt` | NVlabs/GENMO `demo_smpl*.py` (2026-05) |
+| `wham` | `wham_output.pkl`, joblib | yohanshin/WHAM `demo.py` (2024-04) |
+| `tram` | `hps_track_0.npy`, pickled | yufu-wang/tram `lib/models/hmr_vimo.py` (2025-06) |
+| `4d-humans` | `results/demo_V.pkl`, joblib | brjathu/PHALP `phalp/trackers/PHALP.py` (2026-02) |
+| `easymocap` | `output/smpl/000000.json`, the folder | zju3dv/EasyMocap `easymocap/mytools/file_utils.py` |
+| `motion` | what `dataset.poses` reads: AMASS, AIST++, InstantAvatar | see `data/video/pose_table.py` |
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from occfusion.data.checking import checks
+from occfusion.data.video.pose_table import read_motion
+from occfusion.errors import ConfigError, DataError
+from occfusion.files.arrays import load_npy
+from occfusion.files.joblibfile import load_joblib
+
+Floats = NDArray[np.float64]
+Pelvis = Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True)
+class Found:
+    """One person's body in some frames of a video, in the camera (OpenCV axes, metres), in smplx's convention.
+
+    Attributes:
+        tool: that wrote it.
+        frames: places in the video, `[N]`, rising.
+        betas: one shape, `[10]`: the median where the tool gives one a frame.
+        global_orient: `[N, 3]`, radians.
+        body_pose: `[N, 69]`, radians; hands are straight where the tool's body is SMPL-X.
+        transl: `[N, 3]`, metres.
+        K: intrinsics for pictures as large as the video's, `[3, 3]`; None where the file does not say.
+        notes: what a user should know, in sentences.
+    """
+
+    tool: str
+    frames: NDArray[np.int64]
+    betas: Floats
+    global_orient: Floats
+    body_pose: Floats
+    transl: Floats
+    K: Floats | None
+    notes: tuple[str, ...] = ()
+
+
+def read_bodies(
+    path: Path, tool: str | None, size: tuple[int, int], pelvis: Pelvis, person: int | None = None
+) -> Found:
+    """Returns the person that a tool found.
+
+    Args:
+        path: its file.
+        tool: its name; None to tell from the content.
+        size: width and height of the video, pixels.
+        pelvis: gives the pelvis at rest, `[3]`, for shape coefficients.
+        person: the tool's number of the wanted person; None for the one in most frames.
+
+    Raises:
+        ConfigError: no such tool.
+        DataError: the file is missing, damaged or of no known tool, or has no such person.
+    """
+    if tool is not None and tool not in TOOLS:
+        raise ConfigError(f"--from {tool}: known are {', '.join(TOOLS)}.")
+    content = _load(path, tool)
+    name = tool or _recognised(content, path)
+    found = TOOLS[name](content, path, size, pelvis, person)
+    for key in ("betas", "global_orient", "body_pose", "transl"):
+        rows = getattr(found, key)
+        if not np.isfinite(rows).all():
+            raise DataError(f"{path}, {key}: holds NaN or infinite values.")
+    if not len(found.frames):
+        raise DataError(f"{path}: holds nobody.")
+    return found
+
+
+def _load(path: Path, tool: str | None) -> Any:
+    if not path.exists():
+        raise DataError(f"{path}: file not found.")
+    if path.is_dir():
+        return {"easymocap": _json_rows(path)}
+    suffix = path.suffix.lower()
+    if suffix == ".pt":
+        try:
+            return torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:  # torch raises anything; nothing of the file was run
+            raise DataError(
+                f"{path}: cannot be read as tensors alone ({type(error).__name__}); nothing was executed. Save plain "
+                "tensors with torch.save, or convert it where it is trusted."
+            ) from error
+    if suffix == ".npy":
+        return load_npy(path)
+    if tool == "motion" or suffix == ".npz":
+        return None
+    return load_joblib(path)
+
+
+def _recognised(content: Any, path: Path) -> str:
+    if content is None:
+        return "motion"
+    if isinstance(content, Mapping):
+        if "easymocap" in content:
+            return "easymocap"
+        if "smpl_params_incam" in content:
+            return "gvhmr"
+        if "body_params_incam" in content:
+            return "gem"
+        if "pred_rotmat" in content:
+            return "tram"
+        if "smpl_poses" in content:
+            return "motion"
+        first = next(iter(content.values()), None)
+        if isinstance(first, Mapping) and {"pose", "trans", "betas"} <= set(first):
+            return "wham"
+        if isinstance(first, Mapping) and {"smpl", "camera"} <= set(first):
+            return "4d-humans"
+    raise DataError(f"{path}: is not of a known tool; say which with --from TOOL FILE: {', '.join(TOOLS)}.")
+
+
+def _numbers(table: Mapping[Any, Any], key: str, width: int, where: str) -> Floats:
+    if key not in table:
+        raise DataError(f"{where}: has no {key}; it has {', '.join(map(str, list(table)[:8]))}.")
+    value = table[key]
+    array = np.asarray(value.numpy() if isinstance(value, torch.Tensor) else value)
+    if array.dtype.kind not in "fiu" or array.size % width or not array.size:
+        raise DataError(f"{where}, {key}: has shape {array.shape}, expected rows of {width} numbers.")
+    return array.astype(np.float64).reshape(-1, width)
+
+
+def _diagonal(size: tuple[int, int]) -> Floats:
+    """The camera that GVHMR and WHAM suppose: a focal length of the picture's diagonal."""
+    focal = math.hypot(*size)
+    return np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
+
+
+def _shape(rows: Floats) -> Floats:
+    return np.asarray(np.median(rows, axis=0))
+
+
+def _whole_pose(body_pose: Floats) -> Floats:
+    """Returns 23 joints of 21, hands straight."""
+    return np.concatenate([body_pose[:, :63], np.zeros((len(body_pose), 6))], axis=1)
+
+
+def _in_camera(block: str) -> Callable[..., Found]:
+    def read(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+        where = f"{path}, {block}"
+        if not isinstance(content, Mapping) or not isinstance(content.get(block), Mapping):
+            raise DataError(f"{path}: has no {block}.")
+        part = content[block]
+        orient = _numbers(part, "global_orient", 3, where)
+        K = _diagonal(size)
+        if "K_fullimg" in content:
+            K = _numbers(content, "K_fullimg", 9, str(path))[0].reshape(3, 3)
+        return Found(
+            "gvhmr" if block.startswith("smpl") else "gem", np.arange(len(orient)),
+            _shape(_numbers(part, "betas", 10, where)), orient,
+            _whole_pose(_numbers(part, "body_pose", 63, where)), _numbers(part, "transl", 3, where), K,
+            ("its body is SMPL-X: pose and place are taken, and the shape's numbers mean something else to SMPL.",),
+        )  # fmt: skip
+
+    return read
+
+
+def _wham(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+    rows = _person({k: v for k, v in content.items() if isinstance(v, Mapping)}, "frame_ids", path, person)
+    poses, where = _numbers(rows, "pose", 72, str(path)), str(path)
+    return Found(
+        "wham", _numbers(rows, "frame_ids", 1, where)[:, 0].astype(np.int64),
+        _shape(_numbers(rows, "betas", 10, where)), poses[:, :3], poses[:, 3:], _numbers(rows, "trans", 3, where),
+        _diagonal(size),
+    )  # fmt: skip
+
+
+def _tram(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+    where = str(path)
+    rotations = _numbers(content, "pred_rotmat", 24 * 9, where).reshape(-1, 24, 3, 3)
+    poses = _vectors(rotations)
+    K, camera = None, path.parent.parent / "camera.npy"
+    if camera.is_file():
+        table = load_npy(camera)
+        focal = float(checks.numbers(table["img_focal"], 1, f"{camera}, img_focal")[0])
+        middle = checks.numbers(table["img_center"], 2, f"{camera}, img_center")
+        K = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1.0]])
+    return Found(
+        "tram", _numbers(content, "frame", 1, where)[:, 0].astype(np.int64),
+        _shape(_numbers(content, "pred_shape", 10, where)), poses[:, 0], poses[:, 1:].reshape(-1, 69),
+        _numbers(content, "pred_trans", 3, where), K,
+    )  # fmt: skip
+
+
+def _phalp(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+    rows: dict[int, list[tuple[int, Any, Any]]] = {}
+    for number, name in enumerate(sorted(content)):
+        frame = content[name]
+        for k, tid in enumerate(frame.get("tid", [])):
+            rows.setdefault(int(tid), []).append((number, frame["smpl"][k], frame["camera"][k]))
+    kept = _person({tid: {"frames": seen} for tid, seen in rows.items()}, "frames", path, person)["frames"]
+    # PHALP lays the picture into a square of its longer side and supposes 5000 px of focal length at 256 px
+    focal = 5000.0 / 256.0 * max(size)
+    K = np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
+    rotations = np.stack(
+        [
+            np.concatenate(
+                [np.reshape(s["global_orient"], (1, 3, 3)), np.reshape(s["body_pose"], (23, 3, 3))]
+            )
+            for _, s, _ in kept
+        ]
+    ).astype(np.float64)
+    poses = _vectors(rotations)
+    return Found(
+        "4d-humans", np.array([k for k, _, _ in kept]),
+        _shape(np.stack([np.reshape(s["betas"], 10) for _, s, _ in kept]).astype(np.float64)),
+        poses[:, 0], poses[:, 1:].reshape(-1, 69),
+        np.stack([np.reshape(c, 3) for _, _, c in kept]).astype(np.float64), K,
+        ("its camera supposes a very long lens, so that the person stands far away.",),
+    )  # fmt: skip
+
+
+def _easymocap(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+    people: dict[int, list[tuple[int, Mapping[str, Any]]]] = {}
+    for number, rows in content["easymocap"]:
+        for row in rows:
+            people.setdefault(int(row["id"]), []).append((number, row))
+    kept = _person({k: {"frames": v} for k, v in people.items()}, "frames", path, person)["frames"]
+    where = str(path)
+    betas = _shape(np.concatenate([_numbers(row, "shapes", 10, where) for _, row in kept]))
+    root, joint = np.concatenate([_numbers(row, "Rh", 3, where) for _, row in kept]), pelvis(betas)
+    # Rh turns about the origin, smplx about the pelvis
+    turned = np.stack([cv2.Rodrigues(vector)[0] @ joint for vector in root])
+    return Found(
+        "easymocap", np.array([k for k, _ in kept]), betas, root,
+        np.concatenate([_numbers(row, "poses", 72, where) for _, row in kept])[:, 3:],
+        np.concatenate([_numbers(row, "Th", 3, where) for _, row in kept]) + turned - joint, None,
+        ("is in the world of its calibration: give that camera, or a clip whose camera is the world.",),
+    )  # fmt: skip
+
+
+def _motion(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+    motion = read_motion(path)
+    betas = np.zeros(10) if motion.betas is None else _shape(motion.betas)[:10]
+    return Found(
+        "motion", np.arange(len(motion)), betas, motion.global_orient, motion.body_pose, motion.transl, None,
+        (f"{motion.form}: places are taken as the camera's.",),
+    )  # fmt: skip
+
+
+def _person(people: Mapping[Any, Any], key: str, path: Path, person: int | None) -> Any:
+    if not people:
+        raise DataError(f"{path}: holds nobody.")
+    if person is None:
+        return max(people.values(), key=lambda rows: len(rows[key]))
+    if person not in people:
+        raise DataError(f"{path}: has no person {person}; it has {', '.join(map(str, people))}.")
+    return people[person]
+
+
+def _vectors(rotations: Floats) -> Floats:
+    from scipy.spatial.transform import Rotation
+
+    shape = rotations.shape[:-2]
+    return np.asarray(Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec().reshape(*shape, 3))
+
+
+def _json_rows(folder: Path) -> list[tuple[int, list[Any]]]:
+    files = sorted(folder.glob("*.json"))
+    if not files:
+        raise DataError(f"{folder}: holds no .json files.")
+    rows = []
+    for file in files:
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+            rows.append((int(file.stem), content["annots"] if isinstance(content, dict) else content))
+        except (ValueError, KeyError, UnicodeDecodeError) as error:
+            raise DataError(f"{file}: is no list of people as EasyMocap writes it ({error}).") from error
+    return rows
+
+
+TOOLS: dict[str, Callable[[Any, Path, tuple[int, int], Pelvis, int | None], Found]] = {
+    "gvhmr": _in_camera("smpl_params_incam"),
+    "gem": _in_camera("body_params_incam"),
+    "wham": _wham,
+    "tram": _tram,
+    "4d-humans": _phalp,
+    "easymocap": _easymocap,
+    "motion": _motion,
+}
+"""Readers by the name that `--from` takes."""

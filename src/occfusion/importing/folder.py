@@ -1,0 +1,209 @@
+"""Writing a fitted clip as a `dataset=video` folder, whole or not at all, with its report."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occfusion.errors import ConfigError, DataError
+from occfusion.files.atomic import atomic_write, write_bytes, write_json, write_png
+from occfusion.files.video import write_frames
+from occfusion.fitting.pipeline import Fit
+from occfusion.fitting.quality import overlay, posed
+from occfusion.footage.people import ranges
+from occfusion.human import Body
+from occfusion.importing.sources import Sources
+
+Picture = NDArray[np.uint8]
+
+REPORT = "import.json"
+SHEET = 8
+"""Pictures on the overlay sheet."""
+HELD_OUT = 0.2
+"""Share of the frames, the last, that the printed command holds out for evaluation."""
+COVERED = 0.85
+"""Share of the body that masks cover, median, from which on nothing stands before the person."""
+
+
+def require_free(output: Path) -> None:
+    """Raises ConfigError when a folder is already something else than an import, which may be replaced."""
+    if output.exists() and not (
+        output.is_dir() and ((output / REPORT).is_file() or not any(output.iterdir()))
+    ):
+        raise ConfigError(
+            f"--output {output}: is there already and was not made by import; choose another name."
+        )
+
+
+def write_folder(
+    output: Path, sources: Sources, fit: Fit, body: Body, *, embedded: bool, facts: dict[str, Any]
+) -> None:
+    """Writes cameras, poses, pictures, masks, the overlay and the report.
+
+    Args:
+        output: the folder; an earlier import there is replaced.
+        sources: pictures and masks.
+        fit: the body.
+        body: that was fitted.
+        embedded: whether it is the free body of the package, which is laid into the folder.
+        facts: more of the report: where each part comes from.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    require_free(output)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    partial = output.with_name(f".{output.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        _write(partial, sources, fit, body, embedded)
+        report = {**facts, **_report(sources, fit)}
+        write_json(partial / REPORT, report)
+        write_bytes(partial / "import.txt", "\n".join(_lines(report)).encode() + b"\n")
+        if output.exists():
+            shutil.rmtree(output)
+        partial.rename(output)
+    except OSError as error:
+        raise DataError(
+            f"{output}: cannot be written ({error.strerror or error}); check space and rights."
+        ) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _write(folder: Path, sources: Sources, fit: Fit, body: Body, embedded: bool) -> None:
+    width, height = sources.shot.size
+    solution = fit.solution
+    with atomic_write(folder / "cameras.npz") as stream:
+        np.savez(
+            stream, intrinsic=solution.K, extrinsic=np.eye(4), height=height, width=width, pixel_centres=0.5
+        )
+    with atomic_write(folder / "poses.npz") as stream:
+        np.savez(
+            stream, betas=solution.betas, global_orient=solution.global_orient, body_pose=solution.body_pose,
+            transl=solution.transl,
+        )  # fmt: skip
+    for k, picture in enumerate(sources.shot.pictures):
+        write_png(folder / "images" / f"{k:06d}.png", picture)
+        write_png(folder / "masks" / f"{k:06d}.png", sources.masks[k])
+    if embedded:
+        from importlib import resources
+
+        from occfusion.human.body import EMBEDDED_BODY
+
+        write_bytes(
+            folder / "body.npz", (resources.files("occfusion") / "assets" / EMBEDDED_BODY).read_bytes()
+        )
+    times = np.asarray(sources.shot.seconds)
+    gap = float(np.median(np.diff(times))) if len(times) > 1 and not sources.clip.pictures else 0.1
+    write_frames(
+        folder / "overlay.mp4", overlays(sources, fit, body), fps=float(np.clip(1 / max(gap, 1e-3), 1, 60))
+    )
+    write_png(folder / "overlay.png", _sheet(sources, fit, body))
+
+
+def overlays(
+    sources: Sources, fit: Fit, body: Body, frames: Sequence[int] | None = None
+) -> Iterator[Picture]:
+    """Yields pictures with mask (green outline), body (red) and key points (yellow); of all frames, or of some."""
+    faces = body.faces.numpy()
+    wanted = set(range(len(sources.shot)) if frames is None else frames)
+    for k, (vertices, _) in enumerate(posed(body, fit.solution)):
+        if k in wanted:
+            yield overlay(
+                sources.shot.pictures[k], sources.masks[k], vertices, fit.solution.K, faces, fit.points, k
+            )
+
+
+def _sheet(sources: Sources, fit: Fit, body: Body) -> Picture:
+    import cv2
+
+    chosen = sorted({int(k) for k in np.linspace(0, len(sources.shot) - 1, SHEET).round()})
+    pictures = list(overlays(sources, fit, body, chosen))
+    scale = 360 / pictures[0].shape[0]
+    small = [
+        np.asarray(cv2.resize(p, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)) for p in pictures
+    ]
+    while len(small) % 2:
+        small.append(np.zeros_like(small[0]))
+    half = (len(small) + 1) // 2
+    return np.vstack([np.hstack(small[:half]), np.hstack(small[half:])]).astype(np.uint8)
+
+
+def _report(sources: Sources, fit: Fit) -> dict[str, Any]:
+    numbers = sources.shot.numbers
+    quality = fit.quality
+    return {
+        "frames": len(numbers),
+        "numbers": list(numbers),
+        "camera": sources.intrinsics.source,
+        "focal_pixels": float(fit.solution.K[0, 0]),
+        "trusted": quality.trusted,
+        **quality.summary(),
+        "doubtful_frames": [numbers[k] for k in quality.doubtful],
+        "left_and_right_exchanged": [numbers[k] for k in fit.swapped],
+        "reprojection_percent_of_height": _plain(quality.pixels),
+        "mask_iou": _plain(quality.iou),
+        "mask_inside_body": _plain(quality.inside),
+        "losses": fit.solution.losses,
+        "notes": sources.notes,
+    }
+
+
+def _plain(values: NDArray[np.float64]) -> list[float | None]:
+    return [round(float(v), 4) if np.isfinite(v) else None for v in values]
+
+
+def _lines(report: dict[str, Any]) -> list[str]:
+    def said(key: str, scale: float = 1.0) -> str:
+        value = report[key]
+        return "-" if value is None else f"{scale * value:.3g}"
+
+    doubtful = report["doubtful_frames"]
+    lines = [
+        f"frames             {report['frames']}",
+        f"camera             {report['camera']}; focal length {report['focal_pixels']:.0f} px",
+        f"reprojection       {said('median_reprojection_percent_of_height')} % of the person's height (median)",
+        f"body and mask      IoU {said('median_mask_iou')}, "
+        f"{said('median_mask_inside_body', 100)} % of the mask inside (median)",
+        f"doubtful frames    {len(doubtful)}" + (f": {ranges(doubtful)}" if doubtful else ""),
+    ]
+    if report["left_and_right_exchanged"]:
+        lines.append(f"sides exchanged    {ranges(report['left_and_right_exchanged'])}")
+    lines += [f"note               {note}" for note in report["notes"]]
+    lines.append(f"verdict            {'trusted' if report['trusted'] else 'NOT TRUSTED'}")
+    return lines
+
+
+def said(folder: Path) -> str:
+    """Returns the report of a folder in words."""
+    return (folder / "import.txt").read_text(encoding="utf-8").rstrip()
+
+
+def training_command(output: Path, frames: int, body: Path | None, covered: float | None) -> str:
+    """Returns the command that trains on a folder, the last frames held out."""
+    cut = max(1, round((1 - HELD_OUT) * frames))
+    parts = [
+        f"python train.py dataset=video dataset.root={output.parent} dataset.scene={output.name}",
+        "body=anny" if body is None else f"body.path={body}",
+        f"'dataset.test_cameras=[0]' 'dataset.train_frames=[0,{cut},1]' 'dataset.test_frames=[{cut},{frames},1]'",
+    ]
+    if covered is not None and covered >= COVERED:
+        parts.append("dataset.occluded=false")
+    return " \\\n    ".join(parts)
+
+
+def covered_share(body: Body, fit: Fit, sources: Sources) -> float | None:
+    """Returns which share of the projected body the masks cover, median over frames; None without masks."""
+    quality = fit.quality
+    iou, inside = quality.iou, quality.inside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # of IoU i and recall r of the mask: both / shown = 1 / (1 / i - 1 / r + 1)
+        share = 1.0 / (1.0 / iou - 1.0 / inside + 1.0)
+    known = share[np.isfinite(share)]
+    return float(np.median(known)) if len(known) else None

@@ -1,0 +1,185 @@
+"""What the completion of colours is learned from: dressed people whose colours are known, and what a short video shows.
+
+People are put together anew from the looks of embedded subjects below `HELD_OUT_FROM`; some wear tops in patterns that
+no embedded subject has. The videos are takes of the training movements, seen by one camera, most of people who hardly
+turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from occfusion.geometry.coverage import Sighting, looks
+from occfusion.geometry.normals import vertex_normals
+from occfusion.human import Body
+from occfusion.human.body import embedded_body
+from occfusion.inpaint.accumulation import known_share, with_neighbours
+from occfusion.synth import regions
+from occfusion.synth.dress import dress
+from occfusion.synth.fullbody import SKIN, bone_transforms, load_model_body, skin
+from occfusion.synth.motion import make_take
+from occfusion.synth.noise import value_noise
+from occfusion.synth.paint import EDGE, paint_places
+from occfusion.synth.regions import band
+from occfusion.synth.rotations import Floats
+from occfusion.synth.studio import Y_UP_TO_Z_UP
+from occfusion.synth.subject import PATTERNS, Subject, make_subject
+
+VALIDATION = range(90, 100)
+"""Subjects that are measured on, as they are; the others are what people are put together from."""
+OUTWARDS = 0.03
+"""Metres from the skin from where the nearest cloth or hair is what a camera sees."""
+FRAMES = 10
+"""Of a video, spread over it."""
+PICTURE, FOCAL, DISTANCE = 192, 206.0, 2.65  # pixels, pixels, metres
+OTHER_PATTERN = 0.4
+"""Share of people whose top has a pattern of no embedded subject."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """A person's colours at the body's vertices.
+
+    Attributes:
+        truth: `[V, 3]`, 0..255.
+        observed: as a video shows them, `[V, 3]`, 0..255.
+        filled: all, by what is seen nearby, `[V, 3]`, 0..255.
+        seen: how well each is known, `[V]`, 0..255.
+    """
+
+    truth: NDArray[np.uint8]
+    observed: NDArray[np.uint8]
+    filled: NDArray[np.uint8]
+    seen: NDArray[np.uint8]
+
+
+@cache
+def _body() -> tuple[Body, torch.Tensor]:
+    body = embedded_body()
+    return body, body.da_vertices()
+
+
+def make_example(number: int, seed: int, *, validation: bool = False) -> Example:
+    """Returns an example, always the same for the same numbers.
+
+    Args:
+        number: of the example.
+        seed: of the corpus.
+        validation: a subject of `VALIDATION` as it is, seen from before or behind.
+    """
+    rng = np.random.default_rng([seed, number, int(validation)])
+    subject = make_subject(int(VALIDATION[number % len(VALIDATION)])) if validation else mixed_subject(rng)
+    truth = vertex_colours(subject, None if validation else rng)
+    weights = watched(subject.betas, rng, validation=validation)
+    observed = truth * (1.0 + rng.normal(0.0, 0.02, (1, 3))) + rng.normal(0.0, 0.015, truth.shape)
+    colors = torch.from_numpy(np.clip(observed, 0.0, 1.0)).float()
+    known = torch.from_numpy(weights).float()
+    filled = with_neighbours(colors, known, _body()[1])
+    return Example(
+        _bytes(truth), _bytes(colors.numpy()), _bytes(filled.numpy()), _bytes(known_share(known).numpy())
+    )
+
+
+def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    return np.clip(values * 255.0 + 0.5, 0.0, 255.0).astype(np.uint8)
+
+
+def mixed_subject(rng: np.random.Generator) -> Subject:
+    """Returns a person with the body, hair, top and bottom of four subjects, and some colours of its own."""
+    body, hair, top, bottom = (make_subject(int(k)) for k in rng.integers(VALIDATION.start, size=4))
+    mixed = replace(
+        body,
+        hair=hair.hair,
+        hair_style=hair.hair_style,
+        pattern=str(rng.choice(PATTERNS)),
+        top_colours=np.clip(
+            rng.uniform(0.05, 0.95, (2, 3)) if rng.uniform() < 0.5 else top.top_colours, 0.0, 1.0
+        ),
+        pattern_scale=float(rng.uniform(0.03, 0.065)),
+        sleeve_end=top.sleeve_end,
+        neckline=top.neckline,
+        top_hem=0.02 if bottom.has_belt or bottom.bottom == "skirt" else min(top.top_hem, -0.03),
+        bottom=bottom.bottom,
+        bottom_colour=rng.uniform(0.05, 0.9, 3) if rng.uniform() < 0.5 else bottom.bottom_colour,
+        bottom_hem=bottom.bottom_hem,
+        has_belt=bottom.has_belt,
+        shoe_colour=top.shoe_colour,
+    )
+    return mixed
+
+
+def vertex_colours(subject: Subject, rng: np.random.Generator | None) -> Floats:
+    """Returns what cameras see at each vertex of the body, `[V, 3]`, 0..1: skin, cloth or the hair above it.
+
+    Args:
+        subject: the person.
+        rng: decides whether the top has another pattern; None: as it is.
+    """
+    figure, model = dress(subject), load_model_body()
+    colours = paint_places(subject, figure.template, figure.group)
+    if rng is not None and rng.uniform() < OTHER_PATTERN:
+        upper = regions.top(figure.template, subject, EDGE) * (figure.group == SKIN)
+        colours += upper[:, None] * (_other_pattern(figure.template, subject, rng) - colours)
+    rest = model.template + model.shapedirs @ subject.betas
+    outside = rest + OUTWARDS * vertex_normals(rest, model.faces)
+    _, index = KDTree(figure.rest).query(outside)
+    return np.asarray(colours[index])
+
+
+def _other_pattern(points: Floats, subject: Subject, rng: np.random.Generator) -> Floats:
+    """Returns the colours of a top with dots, stripes lengthwise, blots, another back, or a fade, `[N, 3]`."""
+    first, second = subject.top_colours
+    width = 1.5 * subject.pattern_scale
+    along, across = points[:, 1], points[:, 0] + 0.5 * points[:, 2]
+    match rng.integers(5):
+        case 0:
+            away = np.hypot((along % width) - 0.5 * width, (across % width) - 0.5 * width)
+            share = (away < 0.25 * width).astype(np.float64)
+        case 1:
+            share = band(across % width, 0.0, 0.5 * width, 0.003)
+        case 2:
+            share = np.clip(0.5 + 2.0 * value_noise(points, 0.08, int(rng.integers(1000)), 2), 0.0, 1.0)
+        case 3:
+            share = (points[:, 2] < 0.0).astype(np.float64)
+        case _:
+            share = np.clip((along + 0.1) / 0.55, 0.0, 1.0)
+    return np.asarray(first + share[:, None] * (second - first))
+
+
+def watched(betas: Floats, rng: np.random.Generator, *, validation: bool = False) -> Floats:
+    """Returns in how many pixels a short video shows each vertex, `[V]`, summed over its frames.
+
+    Args:
+        betas: the person's shape.
+        rng: source of all choices.
+        validation: who hardly turns, seen from before or from behind.
+    """
+    facing = float(rng.choice([0.0, 0.0, 180.0])) if validation else float(rng.uniform(0.0, 360.0))
+    turn = 30.0 if validation else float(rng.choice([0.0, 30.0, 30.0, 60.0, 120.0, 180.0]))
+    take = make_take(60, betas, False, rng, turn=turn, facing=facing)
+    model = load_model_body()
+    rest = model.template + model.shapedirs @ betas
+    joints = model.regressor @ rest
+    height = rng.uniform(0.7, 1.5)
+    viewmat = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, height], [0, 1.0, 0, DISTANCE], [0, 0, 0, 1.0]])
+    K = np.array([[FOCAL, 0, 0.5 * PICTURE], [0, FOCAL, 0.5 * PICTURE], [0, 0, 1.0]])
+    centre = PICTURE * rng.uniform(0.3, 0.7)
+    half = 0.0 if rng.uniform() < 0.3 else PICTURE * rng.uniform(0.03, 0.14)
+    hidden_frames = rng.choice([0.8, 1.0])
+    columns = np.arange(PICTURE) + 0.5
+    total = np.zeros(len(rest))
+    for k, frame in enumerate(np.linspace(0, len(take.poses) - 1, FRAMES).round().astype(int)):
+        transforms = bone_transforms(take.poses[frame], joints, model.parents)
+        points = (skin(rest, model.weights, transforms) + take.transl[frame]) @ Y_UP_TO_Z_UP.T
+        visible = np.ones((PICTURE, PICTURE), bool)
+        if k < hidden_frames * FRAMES:
+            visible &= (np.abs(columns - centre) > half)[None, :]
+        sighting = Sighting.through(points, viewmat, K, visible)
+        total += looks(sighting, model.faces)[0]
+    return np.asarray(total * rng.choice([3.0, 10.0, 30.0]))

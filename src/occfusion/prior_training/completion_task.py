@@ -1,0 +1,158 @@
+"""The task of the completion of colours: front and back of dressed people, of which a short video shows a part."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from occfusion.files.atomic import write_json
+from occfusion.human.body import embedded_body
+from occfusion.human.unfolded import UnfoldedBody
+from occfusion.inpaint.completion_net import (
+    BODY,
+    COMPLETION,
+    FILLED,
+    NETWORK_VERSION,
+    SEEN,
+    SIZE,
+    CompletionNet,
+    completion_planes,
+    from_signal,
+    to_signal,
+)
+from occfusion.prior_training.appearance_batches import Batch
+from occfusion.prior_training.completion_examples import Example, make_example
+from occfusion.prior_training.task import PriorTask
+from occfusion.priors.embedded.diffusion import posterior_mean
+from occfusion.settings.stages import PriorTrainingSettings
+
+VERSION = 1
+"""Of the corpus: raised whenever its bytes change."""
+KNOWN_WEIGHT = 0.1
+"""In the loss, of what the video shows well; what it does not show counts 1."""
+UNSEEN = 0.2
+"""Share known up to which a place counts as not seen, in figures."""
+SHUFFLED, FLIPPED = 0.4, 0.5
+"""Shares of the examples whose channels of colour change places, and who are mirrored."""
+ARRAYS = ("truth", "observed", "filled", "seen")
+
+
+class CompletionTask(PriorTask[CompletionNet]):
+    """Colours of front and back; measured on subjects that it is not trained on.
+
+    Args:
+        settings: size of network and corpus.
+        folder: of the corpus.
+        seed: of corpus and batches.
+    """
+
+    kind, size, version = COMPLETION, SIZE, NETWORK_VERSION
+    data = "colours of people put together from embedded subjects 0 to 89, made by this package"
+    columns = ("filled_psnr", "completed_psnr")
+
+    def __init__(self, settings: PriorTrainingSettings, folder: Path, seed: int) -> None:
+        self.settings = settings
+        self.folder = folder
+        self.seed = seed
+        self.body = UnfoldedBody(embedded_body(), SIZE)
+        self._corpus: tuple[NDArray[np.uint8], ...] = ()
+        self._validation: list[Batch] = []
+
+    def prepare(self) -> None:
+        """Makes the corpus, unless it is there: a quarter of a second an example."""
+        count, identity = self.settings.examples, {"version": VERSION, "seed": self.seed}
+        self.folder.mkdir(parents=True, exist_ok=True)
+        marker = self.folder / "corpus.json"
+        made = json.loads(marker.read_text()) if marker.is_file() else {}
+        start = made.get("examples", 0) if {key: made.get(key) for key in identity} == identity else 0
+        if start < count:
+            examples: list[Example] = []
+            for number in range(start, count):
+                examples.append(make_example(number, self.seed))
+                if (number + 1) % max(1, count // 10) == 0 or number + 1 == count:
+                    self._write(examples, number + 1 - len(examples))
+                    write_json(marker, {**identity, "examples": number + 1})
+                    examples = []
+                    print(f"corpus: {number + 1} of {count} people", flush=True)
+        self._corpus = tuple(np.load(self.folder / f"{name}.npy", mmap_mode="r") for name in ARRAYS)
+
+    def _write(self, examples: Sequence[Example], before: int) -> None:
+        for name in ARRAYS:
+            path = self.folder / f"{name}.npy"
+            new = np.stack([getattr(example, name) for example in examples])
+            np.save(path, np.concatenate([np.load(path)[:before], new]) if before else new)
+
+    def make_net(self) -> CompletionNet:
+        """Returns the network, untrained."""
+        return CompletionNet(tuple(self.settings.widths), self.settings.depth)
+
+    def batch(self, step: int) -> Batch:
+        """Returns the batch of a training step: random people, some mirrored, some in other colours."""
+        rng = np.random.default_rng([self.seed, 5, step])
+        chosen = rng.integers(min(len(self._corpus[0]), self.settings.examples), size=self.settings.batch)
+        return self.make_batch(
+            [Example(*(np.asarray(part[k]) for part in self._corpus)) for k in chosen], rng
+        )
+
+    def make_batch(self, examples: Sequence[Example], rng: np.random.Generator | None = None) -> Batch:
+        """Returns examples as the network sees them.
+
+        Args:
+            examples: people.
+            rng: mirrors some and changes colours; None: as they are.
+        """
+        planes, truths = [], []
+        for example in examples:
+            truth, observed, filled, seen = (
+                torch.from_numpy(getattr(example, name).astype(np.float32)) / 255.0 for name in ARRAYS
+            )
+            if rng is not None:
+                order = rng.permutation(3).tolist() if rng.uniform() < SHUFFLED else [0, 1, 2]
+                gain = torch.from_numpy(rng.uniform(0.8, 1.15, 3)).float()
+                truth, observed, filled = (
+                    (part[:, order] * gain).clamp(0.0, 1.0) for part in (truth, observed, filled)
+                )
+            drawn = completion_planes(self.body, filled, observed, seen)
+            target = self.body.unfold(truth).flatten(0, 1)
+            if rng is not None and rng.uniform() < FLIPPED:
+                drawn, target = drawn.flip(-1), target.flip(-1)
+                drawn[-2] *= -1.0  # left to right
+            planes.append(drawn)
+            truths.append(target)
+        conditions, truth = torch.stack(planes), torch.stack(truths)
+        weight = (1.0 - (1.0 - KNOWN_WEIGHT) * conditions[:, SEEN]) * conditions[:, BODY] + 1e-4
+        return Batch(to_signal(truth, conditions), conditions, weight.repeat_interleave(3, dim=1))
+
+    @torch.no_grad()
+    def measure(self, net: CompletionNet, device: torch.device) -> dict[str, float]:
+        """Returns the PSNR of what is not seen: of colours by what is seen nearby, and of completed ones."""
+        if not self._validation:
+            count = self.settings.validation
+            self._validation = [
+                self.make_batch([make_example(k, self.seed, validation=True)]) for k in range(count)
+            ]
+        errors, total = np.zeros(2), 0
+        for batch in self._validation:
+            planes = batch.conditions.to(device)
+            signal = complete(net, planes, 0)
+            filled = planes[:, FILLED]
+            truth = filled + from_signal(batch.clean.to(device))
+            unseen = ((planes[:, SEEN] < UNSEEN) & (planes[:, BODY] > 0)).repeat_interleave(3, dim=1)
+            for which, found in enumerate((filled, (filled + from_signal(signal)).clamp(0.0, 1.0))):
+                errors[which] += float((found - truth)[unseen].square().sum())
+            total += int(unseen.sum())
+        return dict(zip(self.columns, (-10.0 * np.log10(errors / max(total, 1))).tolist(), strict=True))
+
+
+@torch.no_grad()
+def complete(net: CompletionNet, planes: Tensor, seed: int) -> Tensor:
+    """Returns the posterior mean of the signal, `[B, 6, S, S]`."""
+    shape = (len(planes), len(FILLED), *planes.shape[2:])
+    noise = torch.randn(shape, generator=torch.Generator().manual_seed(seed)).to(planes.device)
+    return posterior_mean(lambda x, t: net(x, t, planes), noise)

@@ -1,0 +1,79 @@
+"""The sequence that a run learns from, kept in its folder: poses and cameras, so that showing it needs no data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from occfusion.data.video.pose_table import measured_up
+from occfusion.files.run_folder import RunFolder
+from occfusion.motion import Clip, read_sequence, write_clip
+from occfusion.run.bodies import make_body, make_data
+from occfusion.settings.schema import Settings
+from occfusion.show.views import HELD_OUT, TRAIN, View, read_views, write_views
+from occfusion.synth.motion import TAKE_RATE
+
+if TYPE_CHECKING:
+    from occfusion.data import HumanDataModule
+
+
+def record_sequence(folder: RunFolder, data: HumanDataModule, settings: Settings) -> None:
+    """Writes the poses and cameras of a run's frames, training ones first in the list of cameras."""
+    write_clip(folder.motion, own_clip(data, settings))
+    write_views(folder.cameras, {TRAIN: _training_views(data), HELD_OUT: _held_out_views(data)})
+
+
+def own_clip(data: HumanDataModule, settings: Settings) -> Clip:
+    """Returns the poses of the training and held-out frames, in order of time."""
+    frames = sorted({*data.train_indices, *data.test_indices})
+    poses = [data.pose(frame) for frame in frames]
+    orient = np.stack([pose.global_orient.double().numpy() for pose in poses])
+    step = int(np.median(np.diff(frames))) if len(frames) > 1 else 1
+    return Clip(
+        data.scene_name,
+        orient,
+        np.stack([pose.body_pose.double().numpy().reshape(-1) for pose in poses]),
+        np.stack([pose.transl.double().numpy() for pose in poses]),
+        TAKE_RATE / step if settings.dataset.name == "synthetic" else None,
+        measured_up(orient) or "y",
+        poses[0].betas.double().numpy(),
+        np.asarray(frames, dtype=np.float64),
+    )
+
+
+def _training_views(data: HumanDataModule) -> Iterator[View]:
+    (camera,) = data.train_cameras
+    for frame in data.train_indices:
+        yield View(data.camera_at(frame, camera), frame, camera, f"training, frame {frame}")
+
+
+def _held_out_views(data: HumanDataModule) -> Iterator[View]:
+    for frame, camera in data.test_views:
+        yield View(data.camera_at(frame, camera), frame, camera, f"camera {camera}, frame {frame}")
+
+
+def ensure_sequence(folder: RunFolder, settings: Settings) -> None:
+    """Writes the record of the sequence where a run is older than it; its data are read for that.
+
+    Raises:
+        OccfusionError: the data are not where they were, or have changed.
+    """
+    if folder.motion.is_file() and folder.cameras.is_file():
+        return
+    body = make_body(settings.body)
+    data = make_data(settings, body)
+    if settings.registration == "auto":
+        data.register(body.faces.cpu().numpy())
+    record_sequence(folder, data, settings)
+
+
+def read_run_clip(folder: RunFolder) -> Clip:
+    """Returns the clip of a run's own sequence, of which there is a record."""
+    return read_sequence(folder.motion, "sequence")
+
+
+def read_run_views(folder: RunFolder, group: str) -> list[View]:
+    """Returns the views of a run, of which there is a record: `show.views.TRAIN` or `HELD_OUT`."""
+    return read_views(folder.cameras, group)

@@ -1,0 +1,1 @@
+"""Showing an avatar: paths of cameras, pictures and their layers, films of several runs."""
