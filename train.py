@@ -6,7 +6,10 @@ Its `@hydra.main` is in `occfusion.cli.train`; the fish shell completes only scr
 import sys
 from pathlib import Path
 
-from occfusion.cli.train import main
-
 if __name__ == "__main__":
-    sys.exit(main(Path(__file__).resolve().parent / "conf"))
+    try:
+        from occfusion.cli.train import main
+
+        sys.exit(main(Path(__file__).resolve().parent / "conf"))
+    except KeyboardInterrupt:  # while libraries were imported
+        sys.exit(130)

@@ -2,6 +2,7 @@
 
 python scripts/measure_import.py clips/101 clips/102             # nothing but the .mp4
 python scripts/measure_import.py --true clips/101                # true camera and masks
+python scripts/measure_import.py --true --points clips/101       # and true key points, in the picture alone
 """
 
 from __future__ import annotations
@@ -12,9 +13,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 
+from occfusion.fitting.anchors import landmark_places
+from occfusion.fitting.batch import BodyBatch, rotations_of
 from occfusion.fitting.pipeline import fit_body
 from occfusion.fitting.quality import PREVIEW, posed, silhouette
+from occfusion.footage.landmarks import KeyPoints
 from occfusion.human import embedded_body
 from occfusion.importing.sources import Choice, gather
 
@@ -27,6 +32,18 @@ def aligned(ours: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(a @ turn - b, axis=1).mean() * 1000)
 
 
+def true_points(truth: dict[str, np.ndarray], frames: list[int]) -> KeyPoints:
+    """Returns where the landmarks of the true bodies are in the pictures."""
+    batch = BodyBatch(embedded_body(), np.zeros(1, dtype=np.int64))
+    betas, poses, transl = (
+        torch.tensor(truth[key], dtype=torch.float32) for key in ("betas", "poses", "transl")
+    )
+    rotations = rotations_of(poses[frames, :3], poses[frames, 3:])
+    marks = landmark_places(*batch.transforms(betas, rotations, transl[frames])).double().numpy()
+    pixels = marks @ truth["K"].T
+    return KeyPoints(pixels[..., :2] / pixels[..., 2:], np.ones(marks.shape[:2]), None, np.ones(len(frames)))
+
+
 def iou(one: np.ndarray, other: np.ndarray) -> float:
     return float((one & other).sum() / max((one | other).sum(), 1))
 
@@ -37,6 +54,7 @@ def main() -> None:
     parser.add_argument(
         "--true", action="store_true", help="true camera and masks; key points are still the model's"
     )
+    parser.add_argument("--points", action="store_true", help="true key points in the picture, without depth")
     arguments = parser.parse_args()
     body = embedded_body()
     faces = body.faces.numpy()
@@ -50,7 +68,8 @@ def main() -> None:
         )
         of_masks = float(np.mean([iou(m, t) for m, t in zip(sources.masks, seen, strict=True)]))
         masks, K = (seen, truth["K"]) if arguments.true else (sources.masks, sources.intrinsics.K)
-        fit = fit_body(body, sources.points, masks, K, sources.shot.seconds, focal_known=arguments.true)
+        points = true_points(truth, frames) if arguments.points else sources.points
+        fit = fit_body(body, points, masks, K, sources.shot.seconds, focal_known=arguments.true)
         seconds, spent = time.perf_counter() - begun, time.process_time() - cpu
         errors, overlaps = [], []
         for k, (vertices, joints) in enumerate(posed(body, fit.solution)):

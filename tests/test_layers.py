@@ -13,14 +13,15 @@ PACKAGE = Path(__file__).parents[1] / "src" / "occfusion"
 # the parts of the package from the ground up; a part is a module or a folder directly under `occfusion`
 LAYERS = [
     {"types", "errors"},
-    {"cpu", "fields", "files", "geometry", "quality"},
+    {"cpu", "fields"},
+    {"files", "geometry", "quality"},
     {"footage", "perceptual", "report", "splat", "synth"},
     {"evaluation", "human"},
     # what a video shows, before any prior is asked
     {"compare", "data", "fitting", "observation"},
     {"importing", "motion", "priors"},
     {"bench", "export", "inpaint", "show"},
-    {"settings"},
+    {"settings", "stability"},
     {"stages"},
     {"plan", "prior_training"},
     {"run"},

@@ -17,11 +17,15 @@ VERBS = {
     TRAIN: "train an avatar: overrides as for `python train.py`",
     "synth": "write an embedded scene to disk in ZJU-MoCap's layout",
     "import": "make a data folder from a video of a person: key points, masks, camera and body",
+    "fit": "a body for a clip's key points and masks, with overlay and figures",
     "check": "inspect a data folder: what is there, what is wrong with it, what to do",
     "convert-body": "write a body of SMPL's family, as it was downloaded, into a safe file, once",
     "render": "pictures of a trained avatar: any camera, any motion, several runs side by side",
-    "export": "take a trained avatar away: Gaussians for viewers, a page that plays it",
+    "view": "turn and move avatars on a page in the browser, also while they are trained",
+    "export": "take a trained avatar away: Gaussians for viewers, a mesh, a page that plays it",
     "report": "finished runs side by side: curves, tables, pictures, as an HTML page and Markdown",
+    "replay": "one kept step of a run alone, which was not finite",
+    "stability": "stiff and extreme cases: errors against oracles along each axis, with bounds",
     "bench": "speed and error of the rasteriser and of the parts of a training step",
 }
 MODULES = {"import": "import_clip"}

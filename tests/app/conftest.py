@@ -48,7 +48,7 @@ def run_tiny(
         "variant=A", "dataset=zju", f"dataset.root={scene_root}", f"dataset.scene={SCENE}",
         f"body.path={scene_root / SCENE / 'body.npz'}", f"output_dir={folder}",
         "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "refine.lambda_lpips=0",
-        "evaluation.perceptual=false",
+        "evaluation.perceptual=false", "evaluation.turntable=0",
         "evaluation.curve_images=1", "evaluation.training_stride=9", "dataset.test_frames=[0,10,9]",
     ]  # fmt: skip
     with initialize_config_dir(str(CONF), version_base="1.3"):

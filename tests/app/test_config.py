@@ -66,6 +66,7 @@ def test_dataset_chooses_its_body_and_the_command_line_wins() -> None:
         ("optim.sds.lambda_pose=-1", "optim.sds.lambda_pose"),
         ("optim.sds.lambda_can=nan", "optim.sds.lambda_can"),
         ("optim.sds.t_max=0.01", "optim.sds.t_max"),
+        ("optim.sds.posed_probability=1.2", "optim.sds.posed_probability"),
         ("optim.sds.every=0", "optim.sds.every"),
         ("optim.sds.where=visible", "optim.sds.where"),
         ("optim.sds.reduction=max", "optim.sds.reduction"),
@@ -103,6 +104,7 @@ def test_hash_follows_what_training_computes_and_nothing_else() -> None:
     base = settings_hash(settings_of())
     assert settings_hash(settings_of("output_dir=elsewhere", "stage=optim", "dataset.root=/mnt/x")) == base
     assert settings_hash(settings_of("evaluation.pictures=false")) == base
+    assert settings_hash(settings_of("dataset.test_cameras=[1]", "dataset.test_frames=[0,4,2]")) == base
     for override in ("optim.lambda_rgb=1", "seed=1", "dataset.occlusion.kind=none", "variant=gauhuman"):
         assert settings_hash(settings_of(override)) != base
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import base64
+import json
+import struct
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +15,21 @@ import headless
 import numpy as np
 import pytest
 import torch
+import trimesh
+from scipy.spatial.transform import Rotation
 
 from occfusion.__main__ import main
 from occfusion.evaluation.pictures import to_uint8
 from occfusion.export.splats import turned_harmonics
+from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.rotation import axis_angle_to_matrix
+from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.rendering import Renderer
 from occfusion.run.loaded import load_run
 from occfusion.run.showing import MotionChoice, Showing, make_showing
 from occfusion.splat import Limits, rasterize
 from occfusion.splat.harmonics import evaluate
+from oracles.splat_files import read_by_gsply, read_by_trimesh
 
 SIZE = 128
 
@@ -30,6 +39,7 @@ def run(short_run: Path) -> Path:
     return short_run
 
 
+@cache
 def shown(run: Path, motion: str, frames: int, light: str = "estimated") -> Showing:
     choice = MotionChoice(motion)
     return make_showing(
@@ -47,33 +57,113 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
     return float(-10 * np.log10(max(np.mean((a / 255.0 - b / 255.0) ** 2), 1e-12)))
 
 
-def read_by_gsply(path: Path) -> dict[str, torch.Tensor]:
-    gsply = pytest.importorskip("gsply", reason="gsply reads .ply files independently of us")
-    data = gsply.plyread(str(path))
-    higher = np.zeros((len(data.means), 0, 3), np.float32) if data.shN is None else data.shN
-    sh = np.concatenate([data.sh0.reshape(-1, 1, 3), higher], axis=1)
-    names = {"means": data.means, "quats": data.quats, "scales": np.exp(data.scales), "sh": sh}
-    opacities = 1 / (1 + np.exp(-data.opacities.reshape(-1).astype(np.float64)))
-    return {
-        k: torch.from_numpy(np.ascontiguousarray(v)).float() for k, v in {**names, "o": opacities}.items()
-    }
-
-
-def test_a_posed_ply_read_by_another_reader_shows_the_same_picture(run: Path, tmp_path: Path) -> None:
-    path = tmp_path / "posed.ply"
+@pytest.mark.parametrize(
+    ("suffix", "read", "least"),
+    [
+        (".ply", read_by_gsply, 70),
+        (".compressed.ply", read_by_gsply, 45),
+        (".spz", read_by_gsply, 45),
+        (".glb", read_by_trimesh, 70),
+    ],
+)
+def test_posed_gaussians_read_by_another_reader_show_the_same_picture(
+    suffix: str,
+    read: Callable[[Path], dict[str, np.ndarray]],
+    least: float,
+    run: Path,
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / f"posed{suffix}"
     words = ["--motion", "squat", "--pose", "40", "--light", "120,30"]
     assert main(["export", str(run), "--output", str(path), *words]) == 0
-    read = read_by_gsply(path)
-    assert all(bool(value.isfinite().all()) for value in read.values()) and float(read["o"].min()) > 1 / 256
+    found = {k: torch.tensor(np.ascontiguousarray(v)).float() for k, v in read(path).items()}
+    assert all(bool(value.isfinite().all()) for value in found.values())
+    assert float(found["o"].min()) > 1 / 256
     showing = shown(run, "squat", 96, "120,30")
     shot = next(shot for shot in showing.shots if shot.row == 40)
     view = shot.camera.viewmat @ torch.linalg.inv(showing.painter.performance.upright)
     cloud = showing.painter.cloud(shot)
     drawn = rasterize(
-        read["means"], read["quats"], read["scales"], read["o"], read["sh"], view, shot.camera.K, SIZE, SIZE,
-        sh_degree=round(read["sh"].shape[1] ** 0.5) - 1, limits=Limits(dilation=cloud.dilation),
+        found["means"], found["quats"], found["scales"], found["o"], found["sh"], view, shot.camera.K, SIZE, SIZE,
+        sh_degree=round(found["sh"].shape[1] ** 0.5) - 1, limits=Limits(dilation=cloud.dilation),
     )  # fmt: skip
-    assert psnr(to_uint8(drawn.rgb), to_uint8(showing.painter.draw(shot).rgb)) > 45
+    assert psnr(to_uint8(drawn.rgb), to_uint8(showing.painter.draw(shot).rgb)) > least
+
+
+def posed_by_the_rules_of_gltf(path: Path, animation: str, seconds: float) -> np.ndarray:
+    """Vertices of a skinned mesh at a moment, as "3.7.3 Skins" and "3.11 Animations" of glTF 2.0 say."""
+    content = path.read_bytes()
+    (length,) = struct.unpack("<I", content[12:16])
+    said, binary = json.loads(content[20 : 20 + length]), content[28 + length :]
+    kinds = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+    columns = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+    def array(index: int) -> np.ndarray:
+        accessor = said["accessors"][index]
+        start = said["bufferViews"][accessor["bufferView"]]["byteOffset"]
+        count = accessor["count"] * columns[accessor["type"]]
+        found = np.frombuffer(binary, kinds[accessor["componentType"]], count, start)
+        return found.reshape(accessor["count"], -1).astype(np.float64)
+
+    nodes, skin = said["nodes"], said["skins"][0]
+    (clip,) = [each for each in said["animations"] if each["name"] == animation]
+    for channel in clip["channels"]:
+        sampler, target = clip["samplers"][channel["sampler"]], channel["target"]
+        times, values = array(sampler["input"])[:, 0], array(sampler["output"])
+        nodes[target["node"]][target["path"]] = values[np.abs(times - seconds).argmin()]
+    world = {}
+
+    def place(node: int, above: np.ndarray) -> None:
+        local = np.eye(4)
+        local[:3, :3] = Rotation.from_quat(nodes[node].get("rotation", [0, 0, 0, 1])).as_matrix()
+        local[:3, 3] = nodes[node].get("translation", [0, 0, 0])
+        world[node] = above @ local
+        for child in nodes[node].get("children", []):
+            place(child, world[node])
+
+    for root in said["scenes"][said["scene"]]["nodes"]:
+        place(root, np.eye(4))
+    inverse = array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+    bones = np.stack([world[joint] @ back for joint, back in zip(skin["joints"], inverse, strict=True)])
+    attributes = said["meshes"][0]["primitives"][0]["attributes"]
+    points = np.c_[array(attributes["POSITION"]), np.ones(len(array(attributes["POSITION"])))]
+    joints, weights = array(attributes["JOINTS_0"]).astype(int), array(attributes["WEIGHTS_0"])
+    return np.einsum("vk,vkij,vj->vi", weights, bones[joints], points)[:, :3]
+
+
+def test_meshes_read_by_another_reader_stand_as_the_avatar_does(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("occfusion.export.surface.SIZE", 256)
+    posed, skinned = tmp_path / "posed.obj", tmp_path / "skinned.glb"
+    assert main(["export", str(run), "--output", str(posed), "--motion", "squat", "--pose", "40"]) == 0
+    assert main(["export", str(run), "--output", str(skinned), "--motion", "squat", "--surface"]) == 0
+    mesh = trimesh.load(posed, process=False)
+    showing = shown(run, "squat", 96, "even")
+    upright = showing.painter.performance.upright
+    shot = next(shot for shot in showing.shots if shot.row == 40)
+    view = (shot.camera.viewmat @ torch.linalg.inv(upright)).numpy()
+
+    def agreement(vertices: np.ndarray) -> tuple[float, float]:
+        pixels, depths = project_vertices(vertices, view, shot.camera.K.numpy())
+        seen = rasterize_mesh(pixels, depths, np.asarray(mesh.faces), SIZE, SIZE)
+        colors = np.asarray(mesh.visual.vertex_colors)[mesh.faces[seen.face]][..., :3]
+        drawn = (colors * seen.barycentrics[..., None]).sum(axis=2)
+        ours = showing.painter.draw(shot)
+        both = (seen.face >= 0) & (ours.alpha.numpy() > 0.5)
+        either = (seen.face >= 0) | (ours.alpha.numpy() > 0.5)
+        return both.sum() / either.sum(), psnr(drawn[both], to_uint8(ours.rgb)[both])
+
+    overlap, decibels = agreement(np.asarray(mesh.vertices))
+    assert overlap > 0.9 and decibels > 20
+    fps = showing.painter.performance.clip.fps
+    assert fps is not None
+    moved = posed_by_the_rules_of_gltf(skinned, "squat", 40 / fps)
+    far = np.linalg.norm(moved - mesh.vertices, axis=1)
+    assert far.mean() < 1e-4 and far.max() < 0.02  # four bones a vertex, not all
+    assert agreement(posed_by_the_rules_of_gltf(skinned, "squat", 0.0))[0] < 0.8
+    (read,) = trimesh.load(skinned).geometry.values()
+    assert len(read.faces) == len(mesh.faces) and read.is_watertight == mesh.is_watertight
 
 
 def test_harmonics_turn_with_what_wears_them() -> None:
@@ -86,10 +176,12 @@ def test_harmonics_turn_with_what_wears_them() -> None:
 
 
 def test_bad_words_are_one_message(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", str(run), "--output", str(tmp_path / "a.obj")]) == 1
+    assert main(["export", str(run), "--output", str(tmp_path / "a.fbx")]) == 1
     assert "formats are .ply" in capsys.readouterr().err
     assert main(["export", str(run), "--output", str(tmp_path / "a.ply"), "--pose", "99999"]) == 1
     assert "the motion has the frames 0 to" in capsys.readouterr().err
+    assert main(["export", str(run), "--output", str(tmp_path / "a.ply"), "--surface"]) == 1
+    assert "--surface is for a .glb" in capsys.readouterr().err
     assert not list(tmp_path.glob("a.*"))
 
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,12 @@ from safetensors.torch import load_file
 
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
+from occfusion.files.run_folder import RunFolder
 from occfusion.inpaint.partial import Inpainter, Partial, Picture
+from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.interruption import Interrupted, SignalGuard
+from occfusion.stages.references import References
+from occfusion.types import Frame
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 SHORT = (
@@ -146,6 +151,21 @@ def test_stopped_and_resumed_refinement_equals_an_uninterrupted_one(
         assert torch.equal(a[name], b[name]), name
 
 
+def test_what_is_kept_of_an_avatar_follows_each_step(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Skinning weights are kept for as long as no parameter changes, which torch's fused step does not tell."""
+    versions: list[tuple[int, ...]] = []
+    original = AvatarStage.on_train_batch_end
+
+    def record(self: AvatarStage, *rest: Any) -> None:
+        versions.append(tuple(p._version for p in self.avatar.gaussians.parameters() if p.grad is not None))
+        original(self, *rest)
+
+    monkeypatch.setattr(AvatarStage, "on_train_batch_end", record)
+    train(*SHORT, "stage=optim")
+    assert len(versions) == 4 and versions[0]
+    assert all(a < b for before, after in pairwise(versions) for a, b in zip(before, after, strict=True))
+
+
 def test_the_hand_over_does_not_stall(train: Train, green: Green) -> None:
     """After 100 steps towards one colour, what is hidden has moved by a tenth of rate x steps at least.
 
@@ -228,12 +248,23 @@ def test_plan_full_does_everything(train: Train, green: Green) -> None:
     assert not {"stage init", "stage refine", "inpainting"} & set(metrics["left_out"])
 
 
-def test_a_missing_reference_is_named(train: Train, green: Green) -> None:
+def test_missing_references_are_made_again(
+    train: Train, green: Green, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder, _ = train(*SHORT, "refine.references.source=prior")
     (folder / "refine" / "stage.json").unlink()
     (folder / "refine" / "last.ckpt").unlink()
     (folder / "finished.json").unlink()
-    for region in (folder / "inpainted" / "regions").glob("*.png"):
+    regions, asked = list((folder / "inpainted" / "regions").glob("*.png")), green.asked
+    for region in regions:
         region.unlink()
-    with pytest.raises(DataError, match=r"regions/0000\d\d\.png: the reference of this frame is missing"):
-        train(*SHORT, "refine.references.source=prior")
+    train(*SHORT, "refine.references.source=prior")
+    assert asked > 0 and green.asked == 2 * asked and all(region.is_file() for region in regions)
+    assert f"{asked} pictures in {folder / 'inpainted'} are not as they were left" in capsys.readouterr().out
+
+
+def test_a_reference_that_goes_missing_meanwhile_is_named(tmp_path: Path) -> None:
+    frame = Frame.__new__(Frame)
+    object.__setattr__(frame, "index", 7)
+    with pytest.raises(DataError, match=r"000007\.png: the reference of this frame is missing"):
+        References(RunFolder(tmp_path).inpainted, frozenset({7})).get(frame, (0, 0, 1, 1))

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from occfusion.__main__ import main
-from occfusion.cli.render import run_names
 from occfusion.errors import ConfigError, DataError
+from occfusion.run.showing import run_names
 from occfusion.show.drawing import Layers
 from occfusion.show.film import Background, picture_of, side_by_side
 from occfusion.show.views import read_views

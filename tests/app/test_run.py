@@ -82,7 +82,8 @@ def test_a_trial_in_a_named_folder_is_tried_again(train: Train) -> None:
 
 
 def test_run_folder_holds_what_the_interface_promises(train: Train) -> None:
-    folder, metrics = train("variant=B", "optim.steps=4")
+    # points of the curve lie where the clock says: none falls between the first and the last
+    folder, metrics = train("variant=B", "optim.steps=4", "evaluation.curve_first_second=1e4")
     for file in CONTRACT_FILES:
         assert (folder / file).stat().st_size > 0, file
     assert json.loads((folder / "metrics.json").read_text()) == metrics
@@ -180,8 +181,9 @@ def test_a_run_from_before_settings_were_removed_is_read(train: Train) -> None:
 
 
 def test_non_finite_loss_stops_and_keeps_the_last_good_state(
-    train: Train, monkeypatch: pytest.MonkeyPatch
+    train: Train, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from occfusion.__main__ import main
     from occfusion.errors import NumericsError
     from occfusion.quality import losses
 
@@ -195,7 +197,16 @@ def test_non_finite_loss_stops_and_keeps_the_last_good_state(
     monkeypatch.setattr(losses, "l2", fails_at_the_third)
     with pytest.raises(NumericsError, match=r"step 2, frame .*`mask`"):
         train("optim.steps=5", "optim.lambda_rgb=0", "optim.lambda_ssim=0")
+    kept = tmp_path / "run" / "optim" / "bad_step.npz"
+    calls[:] = [1, 1]  # the step alone is the third call again
+    assert main(["replay", str(kept)]) == 1
+    said = capsys.readouterr().out
+    assert (
+        said.count("step 2, frame Camera_B1/") == 2 and "`mask` is nan" in said and "have changed" not in said
+    )
     monkeypatch.setattr(losses, "l2", original)
+    assert main(["replay", str(kept)]) == 0
+    assert "stage optim, step 2: finite" in capsys.readouterr().out
     folder, _ = train("optim.steps=5", "optim.lambda_rgb=0", "optim.lambda_ssim=0")
     assert all(torch.isfinite(v).all() for v in parameters(folder).values() if v.is_floating_point())
 

@@ -283,5 +283,9 @@ def test_the_summary_hash_follows_the_data_and_the_settings(tmp_path):
     assert first == module(scene).summary()["hash"]
     assert first != module(scene, occlusion=OcclusionSettings("strip")).summary()["hash"]
     assert first != module(scene, train_frames=[0, 5, 1]).summary()["hash"]
+    # what is only measured on has a hash of its own: mending it does not cost the training
+    other = module(scene, train_camera=2, test_cameras=[0], test_frames=[0, 4, 3]).summary()
+    mended = module(scene, train_camera=2, test_cameras=[1], test_frames=[0, 4, 2]).summary()
+    assert other["hash"] == mended["hash"] and other["held_out_hash"] != mended["held_out_hash"]
     scene.save_parameters(2, dict(scene.parameters[2], Th=np.array([[0.0, 0.0, 0.01]])))
     assert first != module(scene).summary()["hash"]

@@ -86,7 +86,7 @@ def test_a_stage_is_done_when_its_record_and_its_avatar_are_there(tmp_path: Path
     own = StageFolder(tmp_path)
     own.avatar.touch()
     assert not own.has_avatar
-    own.record.touch()
+    own.record.write_text('{"train_seconds": 1}')
     assert own.has_avatar
 
 

@@ -9,7 +9,7 @@ import pytest
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.video import write_frames
 from occfusion.footage.camera import find_intrinsics, focal_on_film
-from occfusion.footage.clip import combing, cuts, open_clip, read_clip
+from occfusion.footage.clip import chosen, combing, cuts, open_clip, read_clip
 
 
 def moving(count: int, seed: int = 0, shape: tuple[int, int] = (96, 128)) -> list[np.ndarray]:
@@ -51,6 +51,19 @@ def test_a_cut_is_found_and_motion_is_none():
     one, other = moving(12), moving(12, seed=5)
     assert cuts(one) == []
     assert cuts([*one, *[255 - p // 3 for p in other]]) == [12]
+    # the sun bursts into the lens: all colours change, and nothing moves
+    assert cuts([p if k < 6 else 120 + p // 2 for k, p in enumerate(one)]) == []
+
+
+def test_the_sharpest_and_the_least_alike_are_chosen():
+    pictures = [
+        cv2.GaussianBlur(p, (0, 0), 0.1 if k in (2, 5, 10) else 3.0) for k, p in enumerate(moving(12))
+    ]
+    assert chosen(pictures, 3, "sharpest") == [2, 5, 10]
+    one, other = moving(12)[0], moving(12, seed=5)[0]
+    pictures = [one, one, one, other, other, 255 - one]
+    assert chosen(pictures, 3, "unlike") in ([0, 3, 5], [0, 4, 5])
+    assert chosen(pictures, 9, "unlike") == list(range(6))
 
 
 def test_interlaced_rows_are_told_from_texture():

@@ -56,6 +56,40 @@ def test_parts_without_gradient():
     assert torch.allclose(means.grad, want)
 
 
+@pytest.mark.parametrize("count", [1, 1500, 2300])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_kernels_give_what_they_are_specified_by(count, threads):
+    given = [t.requires_grad_() for t in inputs(count, seed=5, dtype=torch.float32)]
+    exact = [t.detach().double().requires_grad_() for t in given]
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(threads)
+        results = [carry(*given), carry(*exact, compiled=False)]
+        weights = [torch.randn(t.shape, generator=torch.Generator().manual_seed(1)) for t in results[0]]
+        gradients = []
+        for result, leaves in zip(results, (given, exact), strict=True):
+            total = sum((w.to(t) * t).sum() for w, t in zip(weights, result, strict=True))
+            gradients.append(torch.autograd.grad(total, leaves))
+    finally:
+        torch.set_num_threads(before)
+    for a, b in zip((*results[0], *gradients[0]), (*results[1], *gradients[1]), strict=True):
+        assert ((a.double() - b).abs().max() / b.abs().max()) < 1e-5
+
+
+@pytest.mark.parametrize("used", [(0,), (1,), (2,), (0, 1)])
+def test_kernels_need_no_gradient_of_what_is_not_used(used):
+    given = [t.requires_grad_() for t in inputs(3, seed=6, dtype=torch.float32)]
+    gradients = []
+    for compiled in (True, False):
+        result = carry(*given, compiled=compiled)
+        total = sum(result[k].square().sum() for k in used)
+        gradients.append(torch.autograd.grad(total, given, allow_unused=True))
+    for a, b in zip(*gradients, strict=True):
+        assert (a is None) == (b is None)
+        if a is not None and b is not None:
+            torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
+
+
 @pytest.mark.stiff
 def test_extreme_quaternions_and_scales():
     _, _, _, rest_maps, offsets, posed_maps = inputs(4, dtype=torch.float32)

@@ -122,6 +122,151 @@ def test_easymocap(tmp_path):
     )
 
 
+def test_prompthmr(tmp_path):
+    """`joblib.dump(self.results, f'{seq_folder}/results.pkl')`: yufu-wang/PromptHMR `pipeline/pipeline.py@d8f40315`,
+    `smplx_cam` of `pipeline/phmr_vid.py`; pictures of 1280 x 960 are made 896 high, the camera is that of these."""
+    rng, people = np.random.default_rng(0), {}
+    for person, count in ((1, 3), (2, 5)):
+        cam = {
+            "rotmat": np.zeros((count, 55, 3, 3)),
+            "pose": rng.normal(size=(count, 75)).astype(np.float32),
+            "shape": np.ones((count, 10)),
+            "trans": rng.normal(size=(count, 3)),
+            "contact": np.zeros((count, 6), bool),
+        }
+        people[person] = {"frames": np.arange(count) + 4, "track_id": person, "smplx_cam": cam}  # fmt: skip
+    camera = {
+        "pred_cam_R": np.zeros((9, 3, 3)),
+        "img_focal": np.float32(700),
+        "img_center": np.array([597.3, 448.0]),
+    }
+    results = {"camera": camera, "people": people, "timings": {}, "masks": None, "has_tracks": True}
+    joblib.dump(results, tmp_path / "results.pkl")
+    found = read_bodies(tmp_path / "results.pkl", None, (1280, 960), lambda betas: PELVIS)
+    assert found.tool == "prompthmr" and list(found.frames) == [4, 5, 6, 7, 8]
+    assert found.K is not None and found.K[0, 0] == pytest.approx(700 * 960 / 896, rel=1e-3)
+    np.testing.assert_allclose(found.body_pose[:, :63], people[2]["smplx_cam"]["pose"][:, 3:66])
+    assert len(read_bodies(tmp_path / "results.pkl", None, (1280, 960), lambda betas: PELVIS, 1).frames) == 3
+
+
+def test_nlf_follows_a_person_who_has_no_number(tmp_path):
+    """`spu.dump_pickle(valid_fits_per_frame, fit_path)`, a dict of stacks a frame, `stack([], ...)` where nobody is:
+    isarandi/nlf-pipeline `src/nlf_pipeline/run_smoothed_smplfitter.py@d216d447`."""
+    frames = []
+    for k in range(5):
+        places = np.array([[0.0, 0, 4], [2.0, 0, 4]], np.float32)[:: 1 if k % 2 else -1] + 0.01 * k
+        poses = np.stack([np.full(72, place[0]) for place in places]).astype(np.float32)
+        row = {"pose_rotvecs": poses, "shape_betas": np.zeros((2, 10), np.float32), "trans": places}
+        frames.append({key: value[:0] for key, value in row.items()} if k == 3 else row)
+    (tmp_path / "v_smoothfits.pkl").write_bytes(pickle.dumps(frames))
+    for person in (0, 1):
+        found = read(tmp_path / "v_smoothfits.pkl", person=person)
+        assert found.tool == "nlf" and list(found.frames) == [0, 1, 2, 4]
+        np.testing.assert_allclose(found.transl[:, 0], 2.0 * (1 - person) + 0.01 * found.frames, atol=1e-6)
+        np.testing.assert_allclose(found.global_orient[:, 0], found.transl[:, 0])
+    assert found.K is not None and found.K[0, 0] == pytest.approx(320 / np.tan(np.radians(27.5)))
+
+
+@pytest.mark.parametrize("version", [0, 2])
+def test_smpl_zip(tmp_path, version):
+    """`SMPLCodec.write`: `np.savez_compressed` of camelCase names, left out where None; Meshcapade/smplcodec
+    `smplcodec/codec.py@0370cb2e` (SMPL has 24 joints in `bodyPose`, SMPL-X 22)."""
+    pose = np.random.default_rng(0).normal(size=(6, 24 if version == 0 else 22, 3))
+    data = {"codecVersion": 2, "smplVersion": version, "gender": 0, "shapeParameters": np.arange(10.0), "frameCount": 6,
+            "frameRate": 30.0, "bodyTranslation": np.ones((6, 3)), "bodyPose": pose}  # fmt: skip
+    with (tmp_path / "a.smpl").open("wb") as stream:
+        np.savez_compressed(stream, **data)
+    found = read(tmp_path / "a.smpl")
+    assert found.tool == "smpl" and found.in_world and found.K is None
+    np.testing.assert_array_equal(found.global_orient, pose[:, 0])
+    np.testing.assert_array_equal(found.body_pose[:, :63], pose[:, 1:22].reshape(6, 63))
+    assert found.betas[3] == (3 if version == 0 else 0)
+    with (tmp_path / "a.smpl").open("wb") as stream:
+        np.savez_compressed(stream, **{**data, "smplVersion": 5})
+    with pytest.raises(DataError, match="smplVersion 5"):
+        read(tmp_path / "a.smpl")
+
+
+def test_aist_is_recognised(tmp_path):
+    """google/aistplusplus_api `aist_plusplus/loader.py@3b5b8f91`."""
+    content = {
+        "smpl_poses": np.ones((4, 72), np.float32), "smpl_scaling": np.array([90.0], np.float32),
+        "smpl_trans": np.full((4, 3), 180.0, np.float32), "smpl_loss": 1.0,
+    }  # fmt: skip
+    (tmp_path / "gBR.pkl").write_bytes(pickle.dumps(content))
+    found = read(tmp_path / "gBR.pkl")
+    assert found.tool == "motion" and found.in_world
+    np.testing.assert_allclose(found.transl, 2.0)
+
+
+def test_sam_3d_body_gives_key_points_and_the_camera(tmp_path):
+    """`process_one_image` returns a list of dicts a picture: facebookresearch/sam-3d-body
+    `sam_3d_body/sam_3d_body_estimator.py`; places of `sam_3d_body/metadata/__init__.py@31ab9f7a` MHR70_TO_OPENPOSE."""
+    from occfusion.footage.clip import Clip, Shot
+    from occfusion.footage.landmarks import INDEX
+    from occfusion.importing.keypoints import ORDERS, camera_in, read_keypoints
+    from occfusion.importing.mhr import PLACES, is_mhr
+
+    rng, K = np.random.default_rng(0), np.array([[900.0, 0, 640], [0, 900, 360], [0, 0, 1]])
+    for k in range(4):
+        deep, away = rng.normal(0, 0.4, (70, 3)), np.array([0.1 * k, 0.2, 5.0])
+        flat = (deep + away) @ K.T
+        person = {
+            "pred_keypoints_3d": deep.astype(np.float32), "pred_cam_t": away.astype(np.float32), "focal_length": None,
+            "pred_keypoints_2d": (flat[:, :2] / flat[:, 2:]).astype(np.float32), "mhr_model_params": np.zeros(204),
+        }  # fmt: skip
+        np.save(tmp_path / f"{k:05d}.npy", [person])
+    shot = Shot([np.zeros((360, 640, 3), np.uint8)] * 4, [0, 1, 2, 3], [0.0, 0.1, 0.2, 0.3], 0.5, [])
+    assert is_mhr(tmp_path)
+    found = read_keypoints(tmp_path, Clip(tmp_path, (), 4, 10.0, 0), shot)
+    camera = camera_in(tmp_path, shot)
+    assert camera is not None and camera.known
+    np.testing.assert_allclose(camera.K, [[450, 0, 320], [0, 450, 180], [0, 0, 1]], atol=0.01)
+    ankle = INDEX["left_ankle"]
+    np.testing.assert_allclose(found.pixels[3, ankle], (flat[13, :2] / flat[13, 2:]) / 2, rtol=1e-5)
+    np.testing.assert_allclose(found.world[3, ankle], deep[13] - deep[[9, 10]].mean(axis=0), atol=1e-6)
+    theirs = {0: 0, 2: 6, 3: 8, 4: 41, 5: 5, 6: 7, 7: 62, 9: 10, 10: 12, 11: 14, 12: 9, 13: 11, 14: 13, 15: 2, 16: 1,
+              17: 4, 18: 3, 19: 15, 21: 17, 22: 18, 24: 20}  # fmt: skip
+    for openpose, place in theirs.items():
+        assert PLACES[ORDERS[25][openpose]] == place
+
+
+def test_bodies_of_a_world_are_put_before_the_camera(tmp_path):
+    """By the turn and shift that their landmarks were seen from, a tenth of which are wrong."""
+    from occfusion.fitting.anchors import landmark_places
+    from occfusion.fitting.batch import BodyBatch, rotations_of
+    from occfusion.fitting.solver import Solution
+    from occfusion.footage.landmarks import KeyPoints
+    from occfusion.human import embedded_body
+    from occfusion.importing.adopt import stood
+
+    rng, body, count = np.random.default_rng(0), embedded_body(), 5
+    K = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
+    orient, pose, transl = (
+        rng.normal(0, 0.4, (count, 3)),
+        rng.normal(0, 0.3, (count, 69)),
+        rng.normal(0, 0.3, (count, 3)),
+    )
+    world = Solution(np.zeros(10), orient, pose, transl, K)
+
+    def marks(solution):
+        batch = BodyBatch(body, np.zeros(1, dtype=np.int64))
+        parts = (torch.tensor(p).float() for p in (solution.global_orient, solution.body_pose))
+        transl = torch.tensor(solution.transl).float()
+        return (
+            landmark_places(*batch.transforms(torch.zeros(10), rotations_of(*parts), transl)).double().numpy()
+        )
+
+    turn, shift = Rotation.from_rotvec([2.8, 0.3, 0.4]).as_matrix(), np.array([0.2, 0.1, 4.0])
+    seen = marks(world) @ turn.T + shift
+    pixels = seen[..., :2] / seen[..., 2:] * 600 + [320, 240]
+    pixels[:, ::10] += 90
+    found = stood(body, world, KeyPoints(pixels, np.ones((count, 33)), None, np.ones(count)))
+    np.testing.assert_allclose(marks(found), seen, atol=2e-3)
+    with pytest.raises(DataError, match="too few"):
+        stood(body, world, KeyPoints(pixels, np.zeros((count, 33)), None, np.ones(count)))
+
+
 class Evil:
     def __reduce__(self):
         return (print, ("ran",))

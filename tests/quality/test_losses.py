@@ -76,3 +76,16 @@ def test_shapes_are_checked(term):
         term(torch.zeros(4, 4, 3), torch.zeros(4, 5, 3))
     with pytest.raises(ValueError, match="mask"):
         term(torch.zeros(4, 4, 3), torch.zeros(4, 4, 3), torch.ones(5, 4, dtype=torch.bool))
+
+
+@pytest.mark.parametrize("term", TERMS[:2])
+def test_nor_its_gradient(term, mask):
+    a, b = noise(15, 13)
+    with torch.no_grad():
+        a[~mask], b[~mask] = float("nan"), float("inf")
+    a.requires_grad_()
+    options = [{}] if term is losses.l1 else [{}, {"weights": mask[..., None].double().expand_as(b)}]
+    for more in options:
+        (gradient,) = torch.autograd.grad(term(a, b, mask, **more), a)
+        assert (gradient[~mask] == 0).all()
+        assert gradient[mask].isfinite().all() and gradient[mask].abs().min() > 0

@@ -254,3 +254,74 @@ def test_not_a_number_is_refused_by_name(backend: str, name: str, value: float) 
     scene.tensors[name].data.view(-1)[3] = value
     with pytest.raises(NumericsError, match=f"{name} holds 1 values"):
         scene.render(backend)
+
+
+@pytest.mark.stiff
+@backends
+@pytest.mark.parametrize("pixels", [1_000, 10_000])
+def test_gradients_of_needles_longer_than_the_picture(backend: str, pixels: float) -> None:
+    """A million times as long as thick: gradients 1e-4 (relative), quaternions' and thin scales' among them."""
+    scene = make_scene(n=12, width=128, height=128, degree=None, spread=0.05, background=False)
+    with torch.no_grad():
+        length = pixels * 2.0 / float(scene.K[0, 0])
+        scene.tensors["scales"].copy_(torch.tensor([length, length / 1e6, length / 1e6]))
+        scene.tensors["opacities"].fill_(0.8)
+    weights = torch.randn(128, 128, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    got, names = scene.to(torch.float32), ("quats", "means", "scales")
+    wanted = torch.autograd.grad(
+        (oracle.render(**scene.arguments())[0] * weights).sum(), [scene.tensors[name] for name in names]
+    )
+    found = torch.autograd.grad(
+        (got.render(backend).rgb * weights.float()).sum(), [got.tensors[name] for name in names]
+    )
+    for name, value, expected in zip(names, found, wanted, strict=True):
+        assert_same(value, expected, 1e-4, name)
+
+
+def turned(change: str) -> Tensor:
+    view = torch.eye(4)
+    if change == "zero":
+        return torch.zeros(4, 4)
+    if change == "scaled":
+        view[:3] *= 2.0
+    elif change == "mirrored":
+        view[0, 0] = -1.0
+    else:
+        view[3, 0] = 1.0
+    return view
+
+
+INDEFINITE = torch.tensor([[[1.0, 0.9, 0.9], [0.9, 1.0, -0.9], [0.9, -0.9, 1.0]]])
+MEANINGLESS = {
+    "background": ({"background": torch.tensor([0.0, float("nan"), 0.0])}, "background holds 1 values"),
+    "faint": ({"opacities": torch.full((60,), -0.01)}, r"opacities: 60 are outside 0\.\.1"),
+    "logits": ({"opacities": torch.full((60,), 3.0)}, r"opacities: 60 are outside 0\.\.1"),
+    "far": ({"means": torch.full((60, 3), 1e38)}, "means: 60 are farther away"),
+    "negative": ({"covariances": -torch.eye(3).expand(60, 3, 3)}, "covariances: 60 have a negative"),
+    "indefinite": ({"covariances": INDEFINITE.expand(60, 3, 3)}, "covariances: 60 have a negative"),
+    **{name: ({"viewmat": turned(name)}, "viewmat is not rigid") for name in ("zero", "scaled", "mirrored", "bent")},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MEANINGLESS)
+def test_values_without_a_meaning_are_refused(case: str) -> None:
+    change, message = MEANINGLESS[case]
+    arguments = make_scene(dtype=torch.float32).arguments()
+    if "covariances" in change:
+        arguments |= {"quats": None, "scales": None}
+    with pytest.raises(NumericsError, match=message):
+        rasterize(**{**arguments, **change}, backend="torch")
+
+
+def test_a_crop_of_halves_is_refused() -> None:
+    with pytest.raises(ConfigError, match="whole numbers of pixels"):
+        make_scene(dtype=torch.float32).render("numba", crop=(0.5, 0, 10, 10))
+
+
+@backends
+def test_autocast_changes_nothing(backend: str) -> None:
+    scene = make_scene(dtype=torch.float32)
+    expected = scene.render(backend)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = scene.render(backend)
+    assert torch.equal(found.rgb, expected.rgb) and found.rgb.dtype == torch.float32

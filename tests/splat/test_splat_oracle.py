@@ -83,7 +83,7 @@ def test_oracle_sees_all_branches() -> None:
 @pytest.mark.parametrize("backend", ["torch", "numba"])
 @pytest.mark.parametrize(
     ("n", "size", "seed"),
-    [(200, 40, 4), pytest.param(2000, 128, 3, marks=[pytest.mark.slow, pytest.mark.timeout(1500)])],
+    [(200, 40, 4), pytest.param(1200, 80, 3, marks=pytest.mark.slow)],
 )
 def test_many_gaussians_match_to_1e_5(n: int, size: int, seed: int, backend: str) -> None:
     # seeds for which no alpha is within 5e-6 of the cut, where float32 may decide otherwise

@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
 
 from occfusion.errors import ConfigError
+from occfusion.export.splat_glb import write_splat_glb
 from occfusion.export.splats import canonical_table, posed_table, viewers_widening
 from occfusion.export.web import write_page
-from occfusion.files.ply import write_ply
-from occfusion.motion import EMBEDDED_CLIPS, perform
+from occfusion.files import compressed_ply, spz
+from occfusion.files.ply import SplatTable, write_ply
+from occfusion.human.rendering import Renderer
+from occfusion.motion import EMBEDDED_CLIPS, Performance, perform
 from occfusion.run.loaded import LoadedRun, load_run
 from occfusion.run.showing import SEQUENCE, MotionChoice, find_performance
 from occfusion.show.drawing import footprint, parse_light
 from occfusion.show.views import TRAIN
 
-SUFFIXES = (".ply", ".html")
+WRITERS: dict[str, Callable[[Path, SplatTable], None]] = {
+    ".ply": write_ply,
+    compressed_ply.SUFFIX: compressed_ply.write_compressed_ply,
+    ".spz": spz.write_spz,
+    ".glb": write_splat_glb,
+}
+"""Files of Gaussians by the ends of their names; the longest that fits counts."""
+PAGE, MESH = ".html", ".obj"
 PAGE_CLIPS = ("walk", "squat")
 """Embedded clips of a page, beside the motion that is asked for."""
 
@@ -28,9 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path, help="a run folder")
     parser.add_argument(
         "--output", type=Path, required=True,
-        help=".ply: Gaussians in the layout of 3DGS; a folder: one a frame; .html: a page that plays the avatar",
+        help=".ply: Gaussians in the layout of 3DGS; .compressed.ply: in that of SuperSplat; .spz (version 3); .glb: "
+        "glTF's; a folder: a .ply a frame; .obj: a mesh with colours; .html: a page that plays the avatar",
     )  # fmt: skip
-    parser.add_argument("--pose", type=int, help="frame of the motion, for .ply. Default: the canonical pose")
+    parser.add_argument(
+        "--pose", type=int, help="frame of the motion, for Gaussians and .obj. Default: the canonical pose"
+    )
     parser.add_argument(
         "--motion", default=SEQUENCE,
         help=f"sequence, {', '.join(EMBEDDED_CLIPS)}, another run, or a file. Default: sequence",
@@ -38,8 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motion-fps", type=float, help="frames a second of a motion that does not say")
     parser.add_argument("--fps", type=float, help="frames a second that the motion is resampled to")
     parser.add_argument(
-        "--light", default="estimated", help="of a posed .ply: even, estimated, or AZIMUTH,HEIGHT"
+        "--light", default="estimated", help="of posed Gaussians: even, estimated, or AZIMUTH,HEIGHT"
     )
+    parser.add_argument(
+        "--surface", action="store_true",
+        help="a .glb of the surface instead of Gaussians: a mesh with colours and a skeleton that plays the motion",
+    )  # fmt: skip
     parser.add_argument(
         "--for-viewers", type=int, metavar="PIXELS",
         help="bake the footprint in, so that a viewer that adds 0.3 square pixels shows pictures of so many as we do",
@@ -52,9 +70,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Writes; returns the exit code."""
     output, suffix = arguments.output, arguments.output.suffix.lower()
-    if suffix and suffix not in SUFFIXES:
+    if suffix and suffix not in (*WRITERS, MESH, PAGE):
         raise ConfigError(
-            f"--output {output}: formats are {', '.join(SUFFIXES)}, or a folder for a .ply a frame"
+            f"--output {output}: formats are {', '.join((*WRITERS, MESH, PAGE))}, or a folder for a .ply a frame"
         )
     if not suffix and output.exists() and not output.is_dir():
         raise ConfigError(f"--output {output} is a file; name a folder for a .ply a frame")
@@ -62,21 +80,66 @@ def run(arguments: argparse.Namespace) -> int:
     if loaded.remark:
         print(loaded.remark, file=sys.stderr)
     motion = MotionChoice(arguments.motion, arguments.motion_fps, arguments.fps)
-    if suffix == ".html":
+    if suffix == PAGE:
         _page(loaded, motion, output)
+    elif suffix == MESH or arguments.surface:
+        _mesh(loaded, motion, arguments)
     else:
         _splats(loaded, motion, arguments)
     return 0
 
 
 def _page(loaded: LoadedRun, motion: MotionChoice, output: Path) -> None:
+    performances = _motions(loaded, motion)
+    write_page(output, loaded.avatar, performances, title=loaded.clip.name, pixel=loaded.pixel)
+    _say_motions(output, performances)
+
+
+def _motions(loaded: LoadedRun, motion: MotionChoice) -> list[Performance]:
+    """Returns the motion that is asked for, and those that files with several have beside it."""
     words = [motion.words, *(name for name in PAGE_CLIPS if name != motion.words)]
-    performances = [
+    return [
         find_performance(loaded, MotionChoice(word, motion.own_fps if k == 0 else None, motion.fps))
         for k, word in enumerate(words)
     ]
-    write_page(output, loaded.avatar, performances, title=loaded.clip.name, pixel=loaded.pixel)
-    print(f"{output}: {output.stat().st_size / 1e6:.1f} MB, even light, motions {', '.join(map(str, words))}")
+
+
+def _say_motions(output: Path, performances: Sequence[Performance]) -> None:
+    names = ", ".join(each.clip.name for each in performances)
+    print(f"{output}: {output.stat().st_size / 1e6:.1f} MB, even light, motions {names}")
+
+
+def _mesh(loaded: LoadedRun, motion: MotionChoice, arguments: argparse.Namespace) -> None:
+    from occfusion.export.mesh import write_obj, write_skinned_glb
+    from occfusion.export.surface import find_surface
+
+    output: Path = arguments.output
+    has_pose, is_obj = arguments.pose is not None, output.suffix.lower() == MESH
+    if not is_obj and (output.suffix.lower() != ".glb" or has_pose):
+        raise ConfigError(
+            "--surface is for a .glb without --pose, which has the whole motion; or name an .obj"
+        )
+    performance = find_performance(loaded, motion) if has_pose else None
+    if performance is not None:
+        _check_pose(arguments.pose, performance)
+    surface = find_surface(loaded.avatar, loaded.betas, Renderer("auto"))
+    if is_obj:
+        vertices = surface.rest
+        if performance is not None:
+            vertices = surface.posed(loaded.avatar, performance, arguments.pose)
+        write_obj(output, vertices, surface)
+        print(
+            f"{output}: {len(vertices)} vertices, {'posed' if has_pose else 'at rest'}, colours of even light"
+        )
+        return
+    performances = _motions(loaded, motion)
+    write_skinned_glb(output, loaded.avatar, surface, performances)
+    _say_motions(output, performances)
+
+
+def _check_pose(row: int, performance: Performance) -> None:
+    if not 0 <= row < len(performance):
+        raise ConfigError(f"--pose {row}: the motion has the frames 0 to {len(performance) - 1}")
 
 
 def _splats(loaded: LoadedRun, motion: MotionChoice, arguments: argparse.Namespace) -> None:
@@ -87,8 +150,10 @@ def _splats(loaded: LoadedRun, motion: MotionChoice, arguments: argparse.Namespa
         scale = arguments.for_viewers / max(loaded.views(TRAIN)[0].camera.width, 1)
         widen = viewers_widening(footprint(avatar.dilation, scale), loaded.pixel / scale)
     output: Path = arguments.output
+    ends = [end for end in WRITERS if output.name.lower().endswith(end)]
+    write = WRITERS[max(ends, key=len)] if ends else write_ply
     if output.suffix and arguments.pose is None:
-        write_ply(output, canonical_table(avatar, widen))
+        write(output, canonical_table(avatar, widen))
         print(f"{output}: canonical pose, even light")
         return
     performance = find_performance(loaded, motion)
@@ -96,14 +161,11 @@ def _splats(loaded: LoadedRun, motion: MotionChoice, arguments: argparse.Namespa
     light = parse_light(arguments.light, avatar, own.upright)
     avatar.relight(None if light.vector is None else performance.upright[:3, :3].T @ light.vector)
     if output.suffix:
-        if not 0 <= arguments.pose < len(performance):
-            raise ConfigError(
-                f"--pose {arguments.pose}: the motion has the frames 0 to {len(performance) - 1}"
-            )
+        _check_pose(arguments.pose, performance)
         rows = {arguments.pose: output}
     else:
         rows = {row: output / f"{row:04d}.ply" for row in range(len(performance))}
     with torch.no_grad():
         for row, path in rows.items():
-            write_ply(path, posed_table(avatar, performance.pose(row), performance.upright, widen))
+            write(path, posed_table(avatar, performance.pose(row), performance.upright, widen))
     print(f"{output}: {len(rows)} of {len(performance)} poses, {light.text} baked in")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -16,10 +17,20 @@ from occfusion.footage.clip import SIDE
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.importing.adopt import adopt
 from occfusion.importing.bodies import TOOLS
-from occfusion.importing.folder import covered_share, require_free, said, training_command, write_folder
-from occfusion.importing.sources import Choice, Sources, gather
+from occfusion.importing.folder import (
+    PERSON,
+    covered_share,
+    require_free,
+    said,
+    training_command,
+    write_folder,
+)
+from occfusion.importing.mhr import is_mhr
+from occfusion.importing.sources import Choice, Given, Sources, gather
 
 NOT_TRUSTED = 2
+KEY_POINTS_OF = "sam-3d-body"
+"""The tool of `--from` whose key points are taken, since its body is not SMPL's."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", type=Path, required=True, help="the data folder to make")
     parser.add_argument(
         "--from", dest="given", nargs="+", metavar="[TOOL] FILE",
-        help=f"the body from another tool's file ({', '.join(TOOLS)}; told from the content where TOOL is left out)",
+        help=f"the body from another tool's file ({', '.join(TOOLS)}, {KEY_POINTS_OF}; told from the content "
+        "where TOOL is left out)",
     )  # fmt: skip
     parser.add_argument(
         "--from-person", type=int, help="the tool's number of the person (default: in most frames)"
@@ -39,8 +51,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_choice(parser: argparse.ArgumentParser) -> None:
     """Declares what `import` and `fit` share."""
     parser.add_argument("--body", type=Path, help="an SMPL file to fit (default: the free body)")
+    parser.add_argument(
+        "--keypoints", type=Path,
+        help="key points of another tool: COCO's or AlphaPose's .json, OpenPose's folder, MediaPipe's .json",
+    )  # fmt: skip
+    parser.add_argument(
+        "--masks", type=Path,
+        help="masks of another tool: a folder of pictures, SAM 2's folder, COCO's .json, a video of mattes",
+    )  # fmt: skip
+    parser.add_argument("--masks-person", type=int, help="the person's number where masks number several")
+    parser.add_argument("--occluder", type=Path, help="masks of what stands before the person")
+    parser.add_argument(
+        "--camera",
+        type=Path,
+        help="intrinsics: cameras.npz, transforms.json, COLMAP's cameras.txt, fx fy cx cy",
+    )
     parser.add_argument("--every", type=int, help="take each so-manyth frame (default: at most 30 a second)")
-    parser.add_argument("--frames", type=int, help="at most so many frames, evenly spread")
+    parser.add_argument("--frames", type=int, help="at most so many frames")
+    parser.add_argument(
+        "--choose", choices=("even", "sharpest", "unlike"), default="even",
+        help="which --frames: evenly spread, the sharpest of each stretch, those least alike (default: even)",
+    )  # fmt: skip
     parser.add_argument("--start", type=int, default=0, help="first frame (default: 0)")
     parser.add_argument("--stop", type=int, help="frame after the last (default: the end)")
     parser.add_argument(
@@ -68,8 +99,21 @@ def choice_of(arguments: argparse.Namespace) -> Choice:
         raise ConfigError(f"--size {arguments.size}: give 128 to 4096 pixels.")
     return Choice(
         arguments.every, arguments.frames, arguments.start, arguments.stop, arguments.size, arguments.rotate,
-        arguments.person, arguments.focal,
+        arguments.person, arguments.focal, arguments.choose,
     )  # fmt: skip
+
+
+def given_of(arguments: argparse.Namespace) -> Given:
+    """Returns what other tools found.
+
+    Raises:
+        ConfigError: two answers to the same question.
+    """
+    if arguments.camera is not None and arguments.focal is not None:
+        raise ConfigError("--camera and --focal: give one of them.")
+    return Given(
+        arguments.keypoints, arguments.masks, arguments.occluder, arguments.camera, arguments.masks_person
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -79,14 +123,17 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--from takes a tool's name and its file, or the file alone.")
     console, begun = Console(), time.perf_counter()
     with Progress(console) as progress:
-        sources = gather(arguments.clip, choice_of(arguments), advance=progress)
+        given, file = given_of(arguments), None if arguments.given is None else Path(arguments.given[-1])
+        if file is not None and (arguments.given[0] == KEY_POINTS_OF or is_mhr(file)):
+            given, file = replace(given, keypoints=file), None
+        sources = gather(arguments.clip, choice_of(arguments), given, advance=progress)
         body = embedded_body() if arguments.body is None else load_body(arguments.body)
-        if arguments.given is None:
+        if file is None:
             fit = fit_sources(body, sources, arguments.seed, progress)
         else:
             tool = arguments.given[0] if len(arguments.given) == 2 else None
             sources, fit = adopt(
-                Path(arguments.given[-1]), tool, sources, body,
+                file, tool, sources, body,
                 embedded=arguments.body is None, person=arguments.from_person,
             )  # fmt: skip
     return finish(console, arguments, sources, fit, body, begun)
@@ -125,6 +172,7 @@ def finish(
     parser = argparse.ArgumentParser()
     check.add_arguments(parser)
     words += [] if arguments.body is None else ["--body", str(arguments.body)]
+    words += [] if sources.hidden is None else ["--person", str(PERSON)]
     failed = check.run(parser.parse_args(words))
     if not fit.quality.trusted:
         console.print(
@@ -135,7 +183,9 @@ def finish(
         return NOT_TRUSTED
     if failed:
         return failed
-    command = training_command(output, len(sources.shot), arguments.body, covered_share(body, fit, sources))
+    command = training_command(
+        output, len(sources.shot), arguments.body, covered_share(fit), numbered=sources.hidden is not None
+    )
     console.print(
         f"\nTrain on it; the last fifth of the frames is held out:\n\n{command}",
         highlight=False,

@@ -12,19 +12,18 @@ from rich.console import Console
 from rich.progress import track
 
 from occfusion.errors import ConfigError, DataError
-from occfusion.files.atomic import write_png
-from occfusion.files.video import STILL, check_destination, write_frames
+from occfusion.files.video import STILL, check_destination, write_folder, write_frames
 from occfusion.human.rendering import Renderer
-from occfusion.motion import EMBEDDED_CLIPS
+from occfusion.motion import EMBEDDED_CLIPS, USUAL_FPS
 from occfusion.run.loaded import LoadedRun, load_run
 from occfusion.run.showing import (
     MOVING_PATHS,
     PATHS,
-    USUAL_FPS,
     MotionChoice,
     Showing,
     inputs_of,
     make_showing,
+    run_names,
 )
 from occfusion.show.drawing import LAYERS, Layers
 from occfusion.show.film import TRANSPARENT, Picture, parse_background, picture_of, side_by_side
@@ -109,9 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=True)
     told = track(films, f"{arguments.path}", total=count, console=console)
     if arguments.output.suffix == "" and len(arguments.layers) > 1:
-        for number, each in enumerate(told):
-            for layer, picture in zip(arguments.layers, each, strict=True):
-                write_png(arguments.output / layer / f"{number:04d}.png", picture)
+        write_folder(arguments.output, told, arguments.layers)
     else:
         write_frames(arguments.output, (_beside(each) for each in told), fps)
     print(f"{arguments.output}: {count} pictures, {fps:g} a second")
@@ -220,12 +217,3 @@ def _range_of(showing: Showing, number: int) -> tuple[float, float]:
 
 def _beside(pictures: Sequence[Picture]) -> Picture:
     return side_by_side(pictures, [])
-
-
-def run_names(folders: Sequence[Path]) -> list[str]:
-    """Returns names that tell runs apart: of their paths what not all share."""
-    parts = [folder.resolve().parts for folder in folders]
-    shortest = min(len(part) for part in parts)
-    first = next((k for k in range(shortest) if len({part[k] for part in parts}) > 1), shortest - 1)
-    last = next((k for k in range(1, shortest - first + 1) if len({part[-k] for part in parts}) > 1), 1)
-    return ["/".join(part[first : len(part) - last + 1]) or part[-1] for part in parts]

@@ -13,8 +13,9 @@ from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
+from occfusion.cli.guarded import check_arguments, guarded_hydra
 from occfusion.cli.launchers import is_parallel, missing_launcher
 from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, record_job, record_start
 from occfusion.cli.optimized import answer, check_optimized_metric, is_asked
@@ -70,7 +71,9 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
     OUTCOME.exit_code = 0
     if is_helper():  # one process tells the user enough; errors are another matter
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    if (problem := missing_launcher(given) or _old_name(given)) is not None:
+    elif not any(word.startswith("-") and word not in ("-m", "--multirun") for word in given):
+        print("occfusion: the settings are read", file=sys.stderr, flush=True)  # heavy imports are silent
+    if (problem := missing_launcher(given) or _refused(given)) is not None:
         print(f"ConfigError: {problem}", file=sys.stderr)
         return 1
 
@@ -79,7 +82,9 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
     def application(config: DictConfig) -> float | None:
         sys.argv = whole  # runs keep it, and helpers of this process are started with it
         settings = HydraConfig.get()
-        overrides = list(settings.overrides.task)
+        overrides = [
+            str(word) for word in OmegaConf.to_container(settings.overrides.task, resolve=False) or ()
+        ]
         if settings.mode == RunMode.MULTIRUN:
             sweep, number = Path(settings.sweep.dir), settings.job.num
             record_start(sweep, number, " ".join(overrides))
@@ -96,20 +101,26 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
 
     sys.argv = [whole[0], *given]  # Hydra reads nothing else
     try:
-        application()
-    except (SystemExit, KeyboardInterrupt) as end:  # Hydra has said why, or the user knows
+        with guarded_hydra():
+            application()
+    except SystemExit:  # Hydra has said why
         if OUTCOME.sweep is None:
             _hint(given)
             raise
-        end_of_broken_multirun(130 if isinstance(end, KeyboardInterrupt) else 1)
+        end_of_broken_multirun(1)
+    except KeyboardInterrupt:
+        print("stopped by SIGINT: the same command continues", file=sys.stderr)
+        state.exit_code = 130
+        end_of_broken_multirun(130)
     finally:
         sys.argv = whole
     return OUTCOME.exit_code or state.exit_code
 
 
-def _old_name(arguments: Sequence[str]) -> str | None:
-    """Returns what is wrong with the first argument that sets what has another name now; None where none does."""
+def _refused(arguments: Sequence[str]) -> str | None:
+    """Returns what is wrong with the first argument that has another name now or executes a file; None for nothing."""
     try:
+        check_arguments(arguments)
         refuse_old_names(_keys(arguments))
     except ConfigError as error:
         return str(error)

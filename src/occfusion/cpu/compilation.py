@@ -19,7 +19,6 @@ from functools import lru_cache
 from typing import Any
 
 import numba
-import torch
 
 logger = logging.getLogger(__name__)
 
@@ -36,6 +35,15 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
         "error_model": "numpy",
         "boundscheck": False,
     }
+    return _cached(function, options)
+
+
+def serial(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Returns the function, compiled as `kernel` does but with every rounding and error as Python has them."""
+    return _cached(function, {"nogil": True})
+
+
+def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
     try:
         compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
     except RuntimeError as error:  # no folder to cache in can be written
@@ -66,6 +74,8 @@ def _pool(workers: int, process: int) -> ThreadPoolExecutor:
 
 def run_parts(function: Callable[..., None], *arguments: Any) -> None:
     """Runs `function(*arguments, part, parts)` for every part, as many as torch has threads."""
+    import torch  # whoever compiles a kernel of their own needs none
+
     parts = torch.get_num_threads()
     if parts <= 1:
         function(*arguments, 0, 1)

@@ -275,11 +275,14 @@ class HumanDataModule(L.LightningDataModule):
         """Returns what was selected and found, for the run folder: plain numbers and text."""
         prepared, views, _ = self._open()
         shares, lens = self._visible_shares(), views.lens(prepared.camera)
-        settings = repr((self.occlusion, self.image_size, prepared.train, prepared.test_views))
+        settings = repr((self.occlusion, self.image_size, prepared.train))
         settings += survey.hidden_digest(prepared.hidden)
-        if views.corrections:
-            settings += repr(sorted(views.corrections.items()))
-        selected = [*prepared.train_views, *prepared.test_views]
+        held_out = repr(prepared.test_views)
+        for camera, correction in sorted(views.corrections.items()):
+            if camera == prepared.camera:
+                settings += repr(correction)
+            else:
+                held_out += repr((camera, correction))
         return {
             "scene": prepared.scene.name,
             "taken": asdict(prepared.scene.taken),
@@ -300,6 +303,7 @@ class HumanDataModule(L.LightningDataModule):
             "visible_share": {
                 str(frame): round(share, 4) for frame, share in zip(prepared.train, shares, strict=True)
             },
-            "hash": survey.data_hash(prepared.scene, selected, settings),
+            "hash": survey.data_hash(prepared.scene, prepared.train_views, settings),
+            "held_out_hash": survey.data_hash(prepared.scene, prepared.test_views, held_out),
             "findings": list(self.findings),
         }

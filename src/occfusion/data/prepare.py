@@ -13,7 +13,7 @@ from occfusion.data.occlusion import OcclusionSettings, plan
 from occfusion.data.scene import PictureFiles, Scene
 from occfusion.data.silhouette import Hidden
 from occfusion.errors import ConfigError, DataError
-from occfusion.files.images import read_numbers
+from occfusion.files.images import image_size, read_numbers
 
 T = TypeVar("T")
 
@@ -144,8 +144,13 @@ class Prepared:
 
     @property
     def test_views(self) -> tuple[tuple[int, int], ...]:
-        """The held-out `(frame, camera)`, camera by camera."""
-        return tuple((frame, camera) for camera in self.cameras for frame in self.test)
+        """The held-out `(frame, camera)`, camera by camera, without those that are trained on.
+
+        Where all of them are, the user has asked for just that.
+        """
+        trained = set(self.train_views)
+        asked = tuple((frame, camera) for camera in self.cameras for frame in self.test)
+        return tuple(view for view in asked if view not in trained) or asked
 
     @property
     def unknown(self) -> tuple[bool, ...]:
@@ -173,6 +178,7 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
         held_out = _shown(scene, cameras, held_out, wanted)
     survey.require_files(scene, ((frame, camera) for frame in wanted))
     found = survey.scan_people(scene, wanted, camera)
+    _check_sizes(scene, wanted, camera, found)
     shown = [(frame, person) for frame, person in zip(wanted, found, strict=True) if not person.whole.empty]
     if not shown:
         raise DataError(_nobody(scene.files(wanted[0], camera), len(wanted)))
@@ -194,6 +200,18 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
             "learn from. Make dataset.occlusion narrower."
         )
     return result
+
+
+def _check_sizes(scene: Scene, frames: Sequence[int], camera: int, people: Sequence[survey.Person]) -> None:
+    """Refuses training masks that are not of their picture's size, before anything is planned by them."""
+    for frame, person in zip(frames, people, strict=True):
+        files = scene.files(frame, camera)
+        size, wanted = (person.seen.width, person.seen.height), image_size(files.rgb)
+        if size != wanted:
+            raise DataError(
+                f"{files.masks[0]}: {size[0]} x {size[1]} pixels, but its picture {files.rgb.name} has {wanted[0]} x "
+                f"{wanted[1]}; pictures and masks must have one size."
+            )
 
 
 def _shown(

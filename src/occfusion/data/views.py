@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.data.cameras import Lens
+from occfusion.data.checking.checks import check_angles
 from occfusion.data.outline_offsets import NONE, Correction
 from occfusion.data.packing import Packed, pack
 from occfusion.data.prepare import Prepared
@@ -154,7 +155,12 @@ class Views:
     def parameters(self, frame: int) -> BodyParameters:
         """Returns the body parameters of a frame of the sequence."""
         if frame not in self._parameters:
-            self._parameters[frame] = self._prepared.scene.parameters(frame)
+            found = self._prepared.scene.parameters(frame)
+            check_angles(
+                np.concatenate([np.ravel(found.global_orient), np.ravel(found.body_pose)]),
+                f"{self._prepared.scene.root}, frame {frame}",
+            )
+            self._parameters[frame] = found
         return self._parameters[frame]
 
     def pose(self, frame: int) -> Pose:

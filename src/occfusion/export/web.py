@@ -27,11 +27,10 @@ from occfusion.files.bodyfile import NUM_JOINTS
 from occfusion.files.ply import write_ply
 from occfusion.geometry.skinning import bone_transforms
 from occfusion.human import Avatar
-from occfusion.motion import Performance
+from occfusion.motion import USUAL_FPS, Performance
 
 PLAYER, LICENCES = "web_player.js.gz", "web_player.LICENSE.txt"
 BONES_PER_SPLAT = 4
-_USUAL_FPS = 24.0
 
 
 @torch.no_grad()
@@ -76,7 +75,7 @@ def write_page(
     record = {
         "about": about,
         "motions": [
-            {"name": each.clip.name, "fps": each.clip.fps or _USUAL_FPS, "frames": len(each)}
+            {"name": each.clip.name, "fps": each.clip.fps or USUAL_FPS, "frames": len(each)}
             for each, _ in motions
         ],
     }

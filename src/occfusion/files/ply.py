@@ -46,17 +46,7 @@ def write_ply(path: Path | str, table: SplatTable) -> None:
     Raises:
         DataError: a value is not finite, the arrays do not fit together, or the disk refuses.
     """
-    n = len(table.means)
-    rest = table.sh_rest.shape[1] if table.sh_rest.ndim == 3 else -1
-    shapes = {
-        "means": (n, 3), "raw_quats": (n, 4), "log_scales": (n, 3),
-        "opacity_logits": (n,), "sh0": (n, 1, 3), "sh_rest": (n, rest, 3),
-    }  # fmt: skip
-    for name, shape in shapes.items():
-        value = getattr(table, name)
-        if value.shape != shape:
-            raise DataError(f"{path}: {name} has shape {value.shape}, expected {shape}")
-        _check_finite(path, name, value)
+    n, rest = len(table.means), check_table(path, table) - 1
     columns = np.concatenate(
         [
             table.means,
@@ -73,6 +63,26 @@ def write_ply(path: Path | str, table: SplatTable) -> None:
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     write_bytes(path, "\n".join(header).encode("ascii") + columns.tobytes())
+
+
+def check_table(path: Path | str, table: SplatTable) -> int:
+    """Returns how many coefficients of harmonics a colour has; `path` is where the table shall go.
+
+    Raises:
+        DataError: a value is not finite, or the arrays do not fit together.
+    """
+    n = len(table.means)
+    rest = table.sh_rest.shape[1] if table.sh_rest.ndim == 3 else -1
+    shapes = {
+        "means": (n, 3), "raw_quats": (n, 4), "log_scales": (n, 3),
+        "opacity_logits": (n,), "sh0": (n, 1, 3), "sh_rest": (n, rest, 3),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        value = getattr(table, name)
+        if value.shape != shape:
+            raise DataError(f"{path}: {name} has shape {value.shape}, expected {shape}")
+        _check_finite(path, name, value)
+    return rest + 1
 
 
 def read_ply(path: Path | str) -> SplatTable:

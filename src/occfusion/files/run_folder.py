@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from occfusion.errors import CheckpointError
+from occfusion.files.digest import changed
 
 STAGES = ("init", "optim", "refine")
 """The stages of an avatar's training, in their order; each has a folder of its own."""
@@ -71,14 +72,37 @@ class StageFolder:
         return self.path / "last.ckpt"
 
     @property
+    def earlier_checkpoint(self) -> Path:
+        """The one before, for where that one is damaged."""
+        return self.path / "previous.ckpt"
+
+    @property
+    def bad_step(self) -> Path:
+        """The frame of a step that was not finite, for `occfusion replay`."""
+        return self.path / "bad_step.npz"
+
+    @property
     def record(self) -> Path:
-        """Written last: the stage is done, with its training seconds."""
+        """Written last: the stage is done, with its training seconds and the fingerprint of its avatar."""
         return self.path / "stage.json"
 
     @property
+    def damage(self) -> str | None:
+        """What is wrong with what the finished stage left; None: nothing, or it is not finished."""
+        if not self.record.is_file():
+            return None
+        try:
+            record = read_json(self.record)
+            float(record["train_seconds"])
+            gone = changed(self.path, {self.avatar.name: record["sha256"]} if "sha256" in record else {})
+        except (CheckpointError, KeyError, TypeError, ValueError):
+            return f"{self.record} is damaged"
+        return f"{gone[0]} is missing, or not as the stage left it" if gone else None
+
+    @property
     def has_avatar(self) -> bool:
-        """Whether the stage is done and left an avatar."""
-        return self.record.is_file() and self.avatar.is_file()
+        """Whether the stage is done and left an avatar, which is whole."""
+        return self.record.is_file() and self.avatar.is_file() and self.damage is None
 
 
 @dataclass(frozen=True)
@@ -226,6 +250,16 @@ class RunFolder:
         return self.pictures / "training.png"
 
     @property
+    def before_after(self) -> Path:
+        """Frames of the video above the avatar in the same pose."""
+        return self.pictures / "before_after.png"
+
+    @property
+    def turntable(self) -> Path:
+        """A film of one turn around the avatar."""
+        return self.pictures / "turntable.webp"
+
+    @property
     def directions_picture(self) -> Path:
         """The body, coloured by how many directions training saw each place from."""
         return self.pictures / "directions.png"
@@ -264,6 +298,13 @@ class RunFolder:
         """What a later call on the same folder would take over instead of doing it."""
         stages = (self.stage(name).path for name in STAGES)
         return [*stages, self.masks.path, self.inpainted.path, self.metrics, self.curve, self.losses]
+
+    @property
+    def results(self) -> list[Path]:
+        """What a finished run hands to users, and does not do again."""
+        avatars = [self.stage(name).avatar for name in STAGES]
+        tables = [self.metrics, self.per_image, self.per_camera, self.per_frame]
+        return [*avatars, self.point_cloud, *tables, self.motion, self.cameras, self.report]
 
     def check_is_run(self) -> None:
         """Refuses a folder that no run has claimed.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -68,7 +68,7 @@ def write_frames(path: Path, pictures: Iterable[Picture], fps: float) -> int:
         raise DataError(f"{path}: there is no picture to write")
     every = itertools.chain([first], stream)
     if suffix == "":
-        return _write_folder(path, every)
+        return write_folder(path, ([picture] for picture in every), [""])
     if suffix == STILL:
         if next(stream, None) is not None:
             raise DataError(f"{path}: a .png holds one picture; ask for one frame, or name a folder")
@@ -77,24 +77,57 @@ def write_frames(path: Path, pictures: Iterable[Picture], fps: float) -> int:
     return _write_webp(path, every, fps) if suffix == ANIMATED else _write_video(path, every, fps)
 
 
-def _write_folder(path: Path, pictures: Iterator[Picture]) -> int:
+def write_folder(path: Path, pictures: Iterable[Sequence[Picture]], names: Sequence[str]) -> int:
+    """Writes numbered `.png` files, all or none; returns how many a folder has.
+
+    Numbered files of an earlier call give way, other files stay.
+
+    Args:
+        path: the folder.
+        pictures: as many at a time as there are names.
+        names: folders within it, one for each; an empty one is the folder itself.
+
+    Raises:
+        DataError: the disk refuses.
+    """
     count = 0
-    for picture in pictures:
-        write_png(path / f"{count:04d}.png", picture)
-        count += 1
+    with _folder_beside(path) as folder:
+        for count, row in enumerate(pictures, 1):
+            for name, picture in zip(names, row, strict=True):
+                write_png(folder / name / f"{count - 1:04d}.png", picture)
+        try:
+            for name in names if count else ():
+                place = path / name
+                place.mkdir(parents=True, exist_ok=True)
+                for file in (folder / name).glob("*.png"):
+                    file.replace(place / file.name)
+                for old in place.glob("[0-9][0-9][0-9][0-9]*.png"):
+                    if old.stem.isdigit() and int(old.stem) >= count:
+                        old.unlink()
+        except OSError as error:
+            raise DataError(
+                f"{path}: cannot be written ({error.strerror}); check space and rights."
+            ) from error
     return count
 
 
-def _write_video(path: Path, pictures: Iterator[Picture], fps: float) -> int:
-    """The codec writes a file of its own; it takes its place when it is whole."""
-    count = 0
+@contextmanager
+def _folder_beside(path: Path) -> Iterator[Path]:
+    """Yields a folder on the disk of `path`, for what is not whole yet."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         folder = TemporaryDirectory(prefix=f".{path.name[:80]}.", dir=path.parent)
     except OSError as error:
         raise DataError(f"{path}: cannot be written ({error.strerror}); check space and rights.") from error
-    with ExitStack() as stack:
-        partial = Path(stack.enter_context(folder)) / f"film{path.suffix.lower()}"
+    with folder as name:
+        yield Path(name)
+
+
+def _write_video(path: Path, pictures: Iterator[Picture], fps: float) -> int:
+    """The codec writes a file of its own; it takes its place when it is whole."""
+    count = 0
+    with _folder_beside(path) as folder:
+        partial = folder / f"film{path.suffix.lower()}"
         writer: cv2.VideoWriter | None = None
         try:
             for picture in pictures:

@@ -52,15 +52,15 @@ class Weights:
 
     pixels: float = 1.0
     scale: float = 3.0
-    world: float = 1.0
-    pose: float = 0.015
+    world: float = 4.0
+    pose: float = 0.1
     limits: float = 20.0
     smooth: float = 1.0
     turning: float = 0.3
     shape: float = 0.1
     feet: float = 2.0
-    outside: float = 0.6
-    edge: float = 0.6
+    outside: float = 2.0
+    edge: float = 2.0
     focal: float = 20.0
 
 

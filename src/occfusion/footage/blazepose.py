@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.errors import ConfigError
-from occfusion.footage.landmarks import COUNT
+from occfusion.footage.landmarks import COUNT, MIRRORED
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -239,32 +239,63 @@ def _iou(a: Floats, b: Floats) -> float:
 
 
 class Landmarker:
-    """Finds the landmarks and the mask of the person in a region."""
+    """Finds the landmarks and the mask of the person in a region, and in its mirror image: the mean is nearer."""
 
     def __init__(self, threads: int = 1) -> None:
         self._model = Model(LANDMARKS, threads)
 
     def __call__(self, picture: Picture, region: Region) -> Sighting:
         """Returns what is seen in a region of a picture `[H, W, 3]`, RGB."""
-        outputs = self._model(_cut(picture, region, LANDMARK_SIDE))
-        points = outputs["Identity"].reshape(39, 5).astype(np.float64)
-        places = refined(points[:, :2], outputs["Identity_3"][0])
+        cut = _cut(picture, region, LANDMARK_SIDE)
+        seen, other = self._look(cut), self._look(np.ascontiguousarray(cut[:, ::-1])).mirrored()
+        trust = np.stack([look.chance**2 for look in (seen, other)]) + 1e-3
+        trust = (trust / trust.sum(axis=0))[..., None]
+        places = seen.places.copy()
+        places[:COUNT] = trust[0] * seen.places[:COUNT] + trust[1] * other.places[:COUNT]
+        world = trust[0] * seen.world + trust[1] * other.world
         to_picture = region.to_picture(LANDMARK_SIDE)
         pixels = places @ to_picture[:, :2].T + to_picture[:, 2]
-        world = outputs["Identity_4"].reshape(39, 3)[:COUNT].astype(np.float64)
         cosine, sine = np.cos(region.turn), np.sin(region.turn)
         world[:, :2] = world[:, :2] @ np.array([[cosine, sine], [-sine, cosine]])
-        chance = _sigmoid(points[:COUNT, 3]) * _sigmoid(points[:COUNT, 4])
         inside = (pixels[:COUNT] >= 0).all(axis=1) & (pixels[:COUNT] < picture.shape[1::-1]).all(axis=1)
         return Sighting(
-            float(outputs["Identity_1"].reshape(-1)[0]),
+            seen.score,
             pixels[:COUNT],
-            np.where(inside, chance, 0.0),
+            np.where(inside, 0.5 * (seen.chance + other.chance), 0.0),
             world,
-            _sigmoid(outputs["Identity_2"][0, :, :, 0]).astype(np.float32),
+            0.5 * (seen.mask + other.mask),
             region,
             Region.spanned(pixels[AUXILIARY[0]], pixels[AUXILIARY[1]]),
         )
+
+    def _look(self, cut: NDArray[np.float32]) -> _Look:
+        outputs = self._model(cut)
+        points = outputs["Identity"].reshape(39, 5).astype(np.float64)
+        return _Look(
+            float(outputs["Identity_1"].reshape(-1)[0]),
+            refined(points[:, :2], outputs["Identity_3"][0]),
+            _sigmoid(points[:COUNT, 3]) * _sigmoid(points[:COUNT, 4]),
+            outputs["Identity_4"].reshape(39, 3)[:COUNT].astype(np.float64),
+            _sigmoid(outputs["Identity_2"][0, :, :, 0]).astype(np.float32),
+        )
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What the model says of one input: score, `[39, 2]` pixels, `[33]` chances, `[33, 3]` metres, a mask."""
+
+    score: float
+    places: Floats
+    chance: Floats
+    world: Floats
+    mask: NDArray[np.float32]
+
+    def mirrored(self) -> _Look:
+        """Returns what it says of the input's mirror image."""
+        places, world = self.places.copy(), self.world[MIRRORED] * np.array([-1.0, 1.0, 1.0])
+        places[:COUNT] = places[MIRRORED]
+        places[:, 0] = LANDMARK_SIDE - places[:, 0]
+        return _Look(self.score, places, self.chance[MIRRORED], world, self.mask[:, ::-1])
 
 
 def refined(points: Floats, heat: NDArray[np.float32]) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,8 @@ RATE = 30.0
 """Frames a second beyond which frames are passed over, unless asked otherwise."""
 UNEVEN = 0.25
 """Share by which the middle half of the frames' distances in time may differ before a clip counts as uneven."""
+SAME_PLACE = 0.5
+"""Edges so much alike (correlation) are of the same place: a real clip has 0.95 where the sun bursts into the lens."""
 COMBED = 1.6
 """Differences between neighbouring rows against those between every second one, from which on rows are interlaced."""
 
@@ -67,6 +69,13 @@ class Shot:
     def __len__(self) -> int:
         """Returns the number of pictures."""
         return len(self.pictures)
+
+    def at(self, places: Sequence[int]) -> Shot:
+        """Returns some of the frames."""
+        return Shot(
+            [self.pictures[k] for k in places], [self.numbers[k] for k in places],
+            [self.seconds[k] for k in places], self.scale, self.notes,
+        )  # fmt: skip
 
     @property
     def size(self) -> tuple[int, int]:
@@ -168,7 +177,7 @@ def cuts(pictures: list[Picture]) -> list[int]:
     """Returns the places, from 1, where a new shot begins.
 
     A cut changes the whole picture at once: its small grey copy differs from the one before by far more than its
-    neighbours do, and so do the colours as a whole.
+    neighbours do, and so do the colours as a whole. Where edges stay where they are, the light alone has changed.
     """
     if len(pictures) < 3:
         return []
@@ -179,7 +188,30 @@ def cuts(pictures: list[Picture]) -> list[int]:
     )
     colours = np.stack([_histogram(picture) for picture in pictures])
     shift = 0.5 * np.abs(np.diff(colours, axis=0)).sum(axis=1)
-    return [int(k) + 1 for k in np.flatnonzero((change > 14.0) & (change > 4.0 * usual) & (shift > 0.25))]
+    sudden = np.flatnonzero((change > 14.0) & (change > 4.0 * usual) & (shift > 0.25))
+    return [int(k) + 1 for k in sudden if _same_edges(pictures[k], pictures[k + 1]) < SAME_PLACE]
+
+
+def chosen(pictures: list[Picture], count: int, way: str) -> list[int]:
+    """Returns the places of so many pictures, rising.
+
+    Args:
+        pictures: of one shot.
+        count: how many; all where there are no more.
+        way: `sharpest`, the sharpest of each of `count` stretches; `unlike`, those least alike, which are added one by
+            one, each as far as can be from all before.
+    """
+    if len(pictures) <= count:
+        return list(range(len(pictures)))
+    if way == "sharpest":
+        scores = np.array([sharpness(picture) for picture in pictures])
+        return [int(part[scores[part].argmax()]) for part in np.array_split(np.arange(len(pictures)), count)]
+    small = np.stack([_thumbnail(picture) for picture in pictures]).reshape(len(pictures), -1)
+    kept, away = [0], np.linalg.norm(small - small[0], axis=1)
+    while len(kept) < count:
+        kept.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(small - small[kept[-1]], axis=1))
+    return sorted(kept)
 
 
 def sharpness(picture: Picture) -> float:
@@ -272,6 +304,17 @@ def combing(picture: Picture) -> float:
 
 def _thumbnail(picture: Picture) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(picture, (32, 32), interpolation=cv2.INTER_AREA)).astype(np.float32)
+
+
+def _same_edges(one: Picture, other: Picture) -> float:
+    """Returns how alike the edges of two small copies are, -1..1."""
+    steps = []
+    for picture in (one, other):
+        grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        small = np.asarray(cv2.resize(grey, (64, 64), interpolation=cv2.INTER_AREA), dtype=np.float32)
+        steps.append(np.stack([cv2.Sobel(small, -1, 1, 0), cv2.Sobel(small, -1, 0, 1)]))
+    a, b = steps
+    return float((a * b).sum() / max(float(np.sqrt((a * a).sum() * (b * b).sum())), 1e-6))
 
 
 def _histogram(picture: Picture) -> NDArray[np.float64]:

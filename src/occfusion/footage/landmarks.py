@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,3 +57,9 @@ class KeyPoints:
     def __len__(self) -> int:
         """Returns the number of frames."""
         return len(self.pixels)
+
+    def at(self, places: Sequence[int]) -> KeyPoints:
+        """Returns some of the frames."""
+        rows = list(places)
+        world = None if self.world is None else self.world[rows]
+        return KeyPoints(self.pixels[rows], self.confidence[rows], world, self.presence[rows])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ OFTEN = 0.25
 """Share of the pictures in which there must be several people for it to be asked which one is meant."""
 LOST_SHARE = 0.5
 """A clip that shows the person in fewer of its frames is refused."""
+JUMP = 1.2
+"""Of the region's usual side, which is about a body's length: who is found again so far away may be somebody else."""
 UPSIDE_DOWN = 0.8
 """Share of the frames with the feet above the head from which on a clip stands on its head."""
 
@@ -211,6 +214,7 @@ def _require(sightings: list[Sighting | None], numbers: Sequence[int], notes: li
         )
     if lost:
         notes.append(f"the person is not seen in {len(lost)} frames ({ranges(lost)}), which are left out.")
+    _require_one(sightings, numbers)
     seen = [s for s in sightings if s is not None]
     nose, feet = INDEX["nose"], [INDEX["left_ankle"], INDEX["right_ankle"]]
     turned = np.mean([s.pixels[nose, 1] > s.pixels[feet, 1].max() for s in seen])
@@ -219,6 +223,28 @@ def _require(sightings: list[Sighting | None], numbers: Sequence[int], notes: li
             f"the person stands on the head in {turned:.0%} of the frames: the video is upside down. Turn it by 180 "
             "degrees first (--rotate 180)."
         )
+
+
+def _require_one(sightings: list[Sighting | None], numbers: Sequence[int]) -> None:
+    """Raises DataError where the place jumps, as it does from one person to another."""
+    found = [k for k, sighting in enumerate(sightings) if sighting is not None]
+    size = float(np.median([s.region.side for s in sightings if s is not None]))
+    jumps = []
+    for before, after in pairwise(found):
+        one, other = sightings[before], sightings[after]
+        assert one is not None and other is not None
+        if np.hypot(one.region.x - other.region.x, one.region.y - other.region.y) > JUMP * size:
+            jumps.append((before, after))
+    if not jumps:
+        return
+    ends = [found[0], *(k for jump in jumps for k in jump), found[-1]]
+    stretches = [(numbers[a], numbers[b] + 1) for a, b in zip(ends[::2], ends[1::2], strict=True)]
+    start, stop = max(stretches, key=lambda part: part[1] - part[0])
+    told = ", ".join(f"{numbers[a]} and {numbers[b]}" for a, b in jumps[:4])
+    raise DataError(
+        f"the person is at places far apart in the frames {told}: somebody else may have been found. Give one part "
+        f"alone; the longest: --start {start} --stop {stop}."
+    )
 
 
 def ranges(numbers: Sequence[int], most: int = 6) -> str:

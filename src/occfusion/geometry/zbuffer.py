@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from occfusion.cpu.compilation import serial
 
 NEAR = 0.01  # metres; triangles that reach nearer are left out whole, since nothing is clipped
 NO_FACE = -1
@@ -75,7 +76,7 @@ def rasterize_mesh(
     return ZBuffer(depth, face, barycentrics)
 
 
-@numba.njit(cache=True, nogil=True)
+@serial
 def _fill(
     pixels: NDArray[np.float64],
     depths: NDArray[np.float64],

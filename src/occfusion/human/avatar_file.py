@@ -63,7 +63,9 @@ def describe_avatar(avatar: Avatar) -> dict[str, Any]:
 
 def _spline_description(spline: PoseSpline | None) -> dict[str, float] | None:
     return (
-        None if spline is None else {"first": spline.first, "spacing": spline.spacing, "knots": spline.knots}
+        None
+        if spline is None
+        else {"first": float(spline.first), "spacing": float(spline.spacing), "knots": spline.knots}
     )
 
 

@@ -32,7 +32,14 @@ class Carried(NamedTuple):
 
 
 def carry(
-    means: Tensor, quats: Tensor, scales: Tensor, rest_maps: Tensor, offsets: Tensor, posed_maps: Tensor
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    rest_maps: Tensor,
+    offsets: Tensor,
+    posed_maps: Tensor,
+    *,
+    compiled: bool = True,
 ) -> Carried:
     """Returns Gaussians moved to rest, displaced there, and moved into a pose (paper §3.1).
 
@@ -45,7 +52,14 @@ def carry(
         rest_maps: canonical to rest, A and a, `[3, 4, N]`.
         offsets: displacements d at rest, `[N, 3]`, metres.
         posed_maps: rest to posed, P and p, `[3, 4, N]`.
+        compiled: by the kernels of `carry_kernels.py`, of which this is the specification, where they take the
+            Gaussians: float32 on a CPU.
     """
+    if compiled and means.dtype == torch.float32 and means.device.type == "cpu":
+        # numba is loaded where it is used
+        from occfusion.human import carry_kernels
+
+        return Carried(*carry_kernels.Carry.apply(means, quats, scales, rest_maps, offsets, posed_maps))
     return Carried(*_Carry.apply(means, quats, scales, rest_maps, offsets, posed_maps))
 
 

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
+import torch
 
 from occfusion.data.posing import Poser
 from occfusion.errors import DataError
+from occfusion.fitting.anchors import landmark_places
+from occfusion.fitting.batch import BodyBatch, rotations_of
 from occfusion.fitting.pipeline import Fit
 from occfusion.fitting.quality import measure
 from occfusion.fitting.solver import Solution
-from occfusion.footage.clip import Shot
+from occfusion.fitting.trunk import MIN_CONFIDENCE
 from occfusion.footage.landmarks import KeyPoints
 from occfusion.human import Body
 from occfusion.importing.bodies import read_bodies
 from occfusion.importing.sources import Sources
+
+FEWEST_POINTS = 30
+"""Key points of all frames together, fewer of which do not say where a camera stands."""
 
 
 def adopt(
@@ -56,21 +63,48 @@ def adopt(
             "the free body has shape numbers of its own: its mean shape is used (--body SMPL.pkl for SMPL's)."
         )
     kept = Sources(
-        sources.clip,
-        Shot(
-            [sources.shot.pictures[k] for k in places], [sources.shot.numbers[k] for k in places],
-            [sources.shot.seconds[k] for k in places], scale, sources.shot.notes,
-        ),
-        _rows(sources.points, places), [sources.masks[k] for k in places], sources.intrinsics,
-        None if sources.hidden is None else [sources.hidden[k] for k in places], notes,
+        sources.clip, sources.shot.at(places), sources.points.at(places), [sources.masks[k] for k in places],
+        sources.intrinsics, None if sources.hidden is None else [sources.hidden[k] for k in places], notes,
     )  # fmt: skip
     solution = Solution(
         np.zeros(10) if embedded else found.betas, found.global_orient[rows], found.body_pose[rows],
         found.transl[rows], K,
     )  # fmt: skip
+    if found.in_world:
+        solution = stood(body, solution, kept.points)
+        notes.append(
+            "its place to the camera is not in the file: found from the key points, for a camera that stands."
+        )
     return kept, Fit(solution, measure(body, solution, kept.points, kept.masks, kept.hidden), kept.points, [])
 
 
-def _rows(points: KeyPoints, places: list[int]) -> KeyPoints:
-    world = None if points.world is None else points.world[places]
-    return KeyPoints(points.pixels[places], points.confidence[places], world, points.presence[places])
+def stood(body: Body, solution: Solution, points: KeyPoints) -> Solution:
+    """Returns bodies of a world in the camera, by the one turn and shift that lays them on the key points best.
+
+    Raises:
+        DataError: the key points say too little.
+    """
+    batch = BodyBatch(body, np.zeros(1, dtype=np.int64))
+    betas, orient, pose, transl = (
+        torch.tensor(part, dtype=torch.float32)
+        for part in (solution.betas, solution.global_orient, solution.body_pose, solution.transl)
+    )
+    marks = landmark_places(*batch.transforms(betas, rotations_of(orient, pose), transl)).double().numpy()
+    sure = (points.confidence > MIN_CONFIDENCE) & (points.presence > 0)[:, None]
+    if sure.sum() < FEWEST_POINTS:
+        raise DataError(f"{int(sure.sum())} sure key points: too few to find the camera of these bodies by.")
+    pixels = points.pixels[sure] - 0.5
+    K = solution.K.copy()
+    K[:2, 2] -= 0.5
+    good, turn, shift, _ = cv2.solvePnPRansac(
+        marks[sure], pixels, K, None, reprojectionError=0.05 * float(np.ptp(pixels[:, 1])), iterationsCount=500,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )  # fmt: skip
+    if not good:
+        raise DataError("no camera shows these bodies where the key points are: are they of this clip?")
+    R = cv2.Rodrigues(turn)[0]
+    pelvis = batch.joints_at_rest(betas)[0].double().numpy()
+    orients = np.stack([cv2.Rodrigues(R @ cv2.Rodrigues(o)[0])[0].reshape(3) for o in solution.global_orient])
+    # smplx turns about the pelvis: p -> A (p - j) + j + t, and the world turns everything
+    places = (solution.transl + pelvis) @ R.T + shift.reshape(3) - pelvis
+    return Solution(solution.betas, orients, solution.body_pose, places, solution.K)

@@ -7,6 +7,9 @@
 | `wham` | `wham_output.pkl`, joblib | yohanshin/WHAM `demo.py` (2024-04) |
 | `tram` | `hps_track_0.npy`, pickled | yufu-wang/tram `lib/models/hmr_vimo.py` (2025-06) |
 | `4d-humans` | `results/demo_V.pkl`, joblib | brjathu/PHALP `phalp/trackers/PHALP.py` (2026-02) |
+| `prompthmr` | `results.pkl`, joblib | yufu-wang/PromptHMR `pipeline/pipeline.py`, `pipeline/phmr_vid.py` (2025-10) |
+| `nlf` | `V_smoothfits.pkl`, pickled | isarandi/nlf-pipeline `src/nlf_pipeline/run_smoothed_smplfitter.py` |
+| `smpl` | `.smpl`, a zip of arrays | Meshcapade/smplcodec `smplcodec/codec.py` (2.3.0) |
 | `easymocap` | `output/smpl/000000.json`, the folder | zju3dv/EasyMocap `easymocap/mytools/file_utils.py` |
 | `motion` | what `dataset.poses` reads: AMASS, AIST++, InstantAvatar | see `data/video/pose_table.py` |
 """
@@ -28,8 +31,12 @@ from numpy.typing import NDArray
 from occfusion.data.checking import checks
 from occfusion.data.video.pose_table import read_motion
 from occfusion.errors import ConfigError, DataError
-from occfusion.files.arrays import load_npy
+from occfusion.files.arrays import load_npy, load_npz
 from occfusion.files.joblibfile import load_joblib
+
+_SMPLX = "its body is SMPL-X: pose and place are taken, and the shape's numbers mean something else to SMPL."
+_NLF_FIELD = 55
+"""Degrees that NLF's pipeline takes a camera to see across the longer side, unless told (`--fov`)."""
 
 Floats = NDArray[np.float64]
 Pelvis = Callable[[Floats], Floats]
@@ -48,6 +55,7 @@ class Found:
         transl: `[N, 3]`, metres.
         K: intrinsics for pictures as large as the video's, `[3, 3]`; None where the file does not say.
         notes: what a user should know, in sentences.
+        in_world: whether the numbers are of a world whose place to the camera the file does not say.
     """
 
     tool: str
@@ -58,6 +66,7 @@ class Found:
     transl: Floats
     K: Floats | None
     notes: tuple[str, ...] = ()
+    in_world: bool = False
 
 
 def read_bodies(
@@ -106,6 +115,8 @@ def _load(path: Path, tool: str | None) -> Any:
             ) from error
     if suffix == ".npy":
         return load_npy(path)
+    if suffix == ".smpl":
+        return load_npz(path)
     if tool == "motion" or suffix == ".npz":
         return None
     return load_joblib(path)
@@ -125,11 +136,22 @@ def _recognised(content: Any, path: Path) -> str:
             return "tram"
         if "smpl_poses" in content:
             return "motion"
+        if "bodyPose" in content or "codecVersion" in content:
+            return "smpl"
+        if "people" in content and "camera" in content:
+            return "prompthmr"
         first = next(iter(content.values()), None)
         if isinstance(first, Mapping) and {"pose", "trans", "betas"} <= set(first):
             return "wham"
         if isinstance(first, Mapping) and {"smpl", "camera"} <= set(first):
             return "4d-humans"
+    if (
+        isinstance(content, list)
+        and content
+        and isinstance(content[0], Mapping)
+        and "pose_rotvecs" in content[0]
+    ):
+        return "nlf"
     raise DataError(f"{path}: is not of a known tool; say which with --from TOOL FILE: {', '.join(TOOLS)}.")
 
 
@@ -172,7 +194,7 @@ def _in_camera(block: str) -> Callable[..., Found]:
             "gvhmr" if block.startswith("smpl") else "gem", np.arange(len(orient)),
             _shape(_numbers(part, "betas", 10, where)), orient,
             _whole_pose(_numbers(part, "body_pose", 63, where)), _numbers(part, "transl", 3, where), K,
-            ("its body is SMPL-X: pose and place are taken, and the shape's numbers mean something else to SMPL.",),
+            (_SMPLX,),
         )  # fmt: skip
 
     return read
@@ -233,6 +255,68 @@ def _phalp(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, pers
     )  # fmt: skip
 
 
+def _prompthmr(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+    rows = _person(content["people"], "frames", path, person)
+    where = f"{path}, smplx_cam"
+    if not isinstance(rows.get("smplx_cam"), Mapping):
+        raise DataError(f"{path}: the person has no smplx_cam; did the pipeline end before its bodies?")
+    part = rows["smplx_cam"]
+    poses = _numbers(part, "pose", 75, where)
+    focal = float(_numbers(content["camera"], "img_focal", 1, f"{path}, camera")[0, 0])
+    middle = _numbers(content["camera"], "img_center", 2, f"{path}, camera")[0]
+    shrunk = size[0] / (2 * middle[0])  # the pipeline makes pictures at most 896 high
+    K = np.array([[focal * shrunk, 0, size[0] / 2], [0, focal * shrunk, size[1] / 2], [0, 0, 1.0]])
+    return Found(
+        "prompthmr", _numbers(rows, "frames", 1, str(path))[:, 0].astype(np.int64),
+        _shape(_numbers(part, "shape", 10, where)), poses[:, :3], _whole_pose(poses[:, 3:]),
+        _numbers(part, "trans", 3, where), K, (_SMPLX,),
+    )  # fmt: skip
+
+
+def _nlf(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+    """Frames list the people that were fitted, without a number: one is followed by place."""
+    kept: list[tuple[int, Floats, Floats, Floats]] = []
+    for number, frame in enumerate(content):
+        where = f"{path}, frame {number}"
+        if not np.size(frame.get("trans", ())):
+            continue
+        places = _numbers(frame, "trans", 3, where)
+        if kept:
+            k = int(np.linalg.norm(places - kept[-1][3], axis=1).argmin())
+        elif (person or 0) >= len(places):
+            raise DataError(f"{where}: has no person {person}; it has 0 to {len(places) - 1}.")
+        else:
+            k = person or 0
+        shapes = _numbers(frame, "shape_betas", 10, where)
+        kept.append((number, _numbers(frame, "pose_rotvecs", 72, where)[k], shapes[k], places[k]))
+    if not kept:
+        raise DataError(f"{path}: holds nobody.")
+    poses = np.stack([row[1] for row in kept])
+    focal = 0.5 * max(size) / math.tan(math.radians(_NLF_FIELD) / 2)
+    return Found(
+        "nlf", np.array([row[0] for row in kept]), _shape(np.stack([row[2] for row in kept])), poses[:, :3],
+        poses[:, 3:], np.stack([row[3] for row in kept]),
+        np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]]),
+        (f"its camera is taken to see {_NLF_FIELD} degrees and to stand still, the pipeline's own start.",),
+    )  # fmt: skip
+
+
+def _smplcodec(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+    where, kind = str(path), int(np.asarray(content.get("smplVersion", 2)).reshape(-1)[0])
+    if kind not in (0, 1, 2) or "bodyPose" not in content:
+        raise DataError(f"{where}: has no motion of SMPL, SMPL-H or SMPL-X (smplVersion {kind}).")
+    joints = 24 if kind == 0 else 22
+    poses = _numbers(content, "bodyPose", 3 * joints, where)
+    count = len(poses)
+    return Found(
+        "smpl", np.arange(count),
+        _numbers(content, "shapeParameters", 1, where)[:10, 0] if kind == 0 else np.zeros(10),
+        poses[:, :3], poses[:, 3:] if kind == 0 else _whole_pose(poses[:, 3:]),
+        _numbers(content, "bodyTranslation", 3, where) if "bodyTranslation" in content else np.zeros((count, 3)),
+        None, () if kind == 0 else (_SMPLX,), in_world=True,
+    )  # fmt: skip
+
+
 def _easymocap(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
     people: dict[int, list[tuple[int, Mapping[str, Any]]]] = {}
     for number, rows in content["easymocap"]:
@@ -248,7 +332,7 @@ def _easymocap(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, 
         "easymocap", np.array([k for k, _ in kept]), betas, root,
         np.concatenate([_numbers(row, "poses", 72, where) for _, row in kept])[:, 3:],
         np.concatenate([_numbers(row, "Th", 3, where) for _, row in kept]) + turned - joint, None,
-        ("is in the world of its calibration: give that camera, or a clip whose camera is the world.",),
+        in_world=True,
     )  # fmt: skip
 
 
@@ -257,7 +341,7 @@ def _motion(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, per
     betas = np.zeros(10) if motion.betas is None else _shape(motion.betas)[:10]
     return Found(
         "motion", np.arange(len(motion)), betas, motion.global_orient, motion.body_pose, motion.transl, None,
-        (f"{motion.form}: places are taken as the camera's.",),
+        (f"{motion.form}.",), in_world=True,
     )  # fmt: skip
 
 
@@ -298,6 +382,9 @@ TOOLS: dict[str, Callable[[Any, Path, tuple[int, int], Pelvis, int | None], Foun
     "wham": _wham,
     "tram": _tram,
     "4d-humans": _phalp,
+    "prompthmr": _prompthmr,
+    "nlf": _nlf,
+    "smpl": _smplcodec,
     "easymocap": _easymocap,
     "motion": _motion,
 }

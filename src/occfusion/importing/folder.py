@@ -21,7 +21,9 @@ from occfusion.importing.sources import Sources
 
 Picture = NDArray[np.uint8]
 
-REPORT = "import.json"
+REPORT, FIT_REPORT = "import.json", "fit.json"
+PERSON, OCCLUDER = 1, 2
+"""Values of the masks where something stands before the person: who else is in them is an occluder to training."""
 SHEET = 8
 """Pictures on the overlay sheet."""
 HELD_OUT = 0.2
@@ -76,21 +78,55 @@ def write_folder(
         shutil.rmtree(partial, ignore_errors=True)
 
 
+def write_bodies(
+    output: Path, sources: Sources, fit: Fit, body: Body, *, embedded: bool, facts: dict[str, Any]
+) -> None:
+    """Writes camera, poses, overlay and report beside what a folder has; the camera only where there is none.
+
+    The camera is that of the clip's own pictures, also where smaller ones were fitted to.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    output.mkdir(parents=True, exist_ok=True)
+    partial = output / ".fit.partial"
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        _write_fit(partial, sources, fit, body, embedded, sources.shot.scale)
+        report = {**facts, **_report(sources, fit)}
+        write_json(partial / FIT_REPORT, report)
+        write_bytes(partial / "fit.txt", "\n".join(_lines(report)).encode() + b"\n")
+        if (output / "cameras.npz").exists():
+            (partial / "cameras.npz").unlink()
+        for file in sorted(partial.iterdir()):
+            file.replace(output / file.name)
+    except OSError as error:
+        raise DataError(
+            f"{output}: cannot be written ({error.strerror or error}); check space and rights."
+        ) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
 def _write(folder: Path, sources: Sources, fit: Fit, body: Body, embedded: bool) -> None:
-    width, height = sources.shot.size
+    _write_fit(folder, sources, fit, body, embedded, 1.0)
+    for k, picture in enumerate(sources.shot.pictures):
+        write_png(folder / "images" / f"{k:06d}.png", picture)
+        write_png(folder / "masks" / f"{k:06d}.png", _numbered(sources, k))
+
+
+def _write_fit(folder: Path, sources: Sources, fit: Fit, body: Body, embedded: bool, scale: float) -> None:
+    """Writes the camera of pictures that are 1 / `scale` as large, poses, the free body and the overlay."""
+    width, height = (round(length / scale) for length in sources.shot.size)
     solution = fit.solution
+    K = np.diag([1 / scale, 1 / scale, 1.0]) @ solution.K
     with atomic_write(folder / "cameras.npz") as stream:
-        np.savez(
-            stream, intrinsic=solution.K, extrinsic=np.eye(4), height=height, width=width, pixel_centres=0.5
-        )
+        np.savez(stream, intrinsic=K, extrinsic=np.eye(4), height=height, width=width, pixel_centres=0.5)
     with atomic_write(folder / "poses.npz") as stream:
         np.savez(
             stream, betas=solution.betas, global_orient=solution.global_orient, body_pose=solution.body_pose,
             transl=solution.transl,
         )  # fmt: skip
-    for k, picture in enumerate(sources.shot.pictures):
-        write_png(folder / "images" / f"{k:06d}.png", picture)
-        write_png(folder / "masks" / f"{k:06d}.png", sources.masks[k])
     if embedded:
         from importlib import resources
 
@@ -105,6 +141,15 @@ def _write(folder: Path, sources: Sources, fit: Fit, body: Body, embedded: bool)
         folder / "overlay.mp4", overlays(sources, fit, body), fps=float(np.clip(1 / max(gap, 1e-3), 1, 60))
     )
     write_png(folder / "overlay.png", _sheet(sources, fit, body))
+
+
+def _numbered(sources: Sources, k: int) -> NDArray[Any]:
+    """Returns a frame's mask; with numbers where it is known what stands before the person."""
+    if sources.hidden is None:
+        return sources.masks[k]
+    numbers = np.where(sources.hidden[k], OCCLUDER, 0).astype(np.uint8)
+    numbers[sources.masks[k]] = PERSON
+    return numbers
 
 
 def overlays(
@@ -180,12 +225,14 @@ def _lines(report: dict[str, Any]) -> list[str]:
     return lines
 
 
-def said(folder: Path) -> str:
+def said(folder: Path, name: str = "import.txt") -> str:
     """Returns the report of a folder in words."""
-    return (folder / "import.txt").read_text(encoding="utf-8").rstrip()
+    return (folder / name).read_text(encoding="utf-8").rstrip()
 
 
-def training_command(output: Path, frames: int, body: Path | None, covered: float | None) -> str:
+def training_command(
+    output: Path, frames: int, body: Path | None, covered: float | None, *, numbered: bool = False
+) -> str:
     """Returns the command that trains on a folder, the last frames held out."""
     cut = max(1, round((1 - HELD_OUT) * frames))
     parts = [
@@ -195,10 +242,12 @@ def training_command(output: Path, frames: int, body: Path | None, covered: floa
     ]
     if covered is not None and covered >= COVERED:
         parts.append("dataset.occluded=false")
+    if numbered:
+        parts.append(f"dataset.person={PERSON}")
     return " \\\n    ".join(parts)
 
 
-def covered_share(body: Body, fit: Fit, sources: Sources) -> float | None:
+def covered_share(fit: Fit) -> float | None:
     """Returns which share of the projected body the masks cover, median over frames; None without masks."""
     quality = fit.quality
     iou, inside = quality.iou, quality.inside

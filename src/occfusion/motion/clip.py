@@ -12,6 +12,8 @@ from occfusion.synth.rotations import axis_angle_from_quaternion, quaternion_fro
 
 Array = NDArray[np.float64]
 
+USUAL_FPS = 24.0
+"""Frames a second that a clip is played with where nobody says."""
 MOST_FRAMES = 20_000
 """Frames of a clip after it was resampled; eleven minutes at 30 a second."""
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from occfusion.quality.ssim import ssim_map
 
-__all__ = ["l1", "l2", "masked_mean", "ssim_loss", "ssim_map"]
+__all__ = ["l1", "l1_and_ssim", "l2", "masked_mean", "ssim_loss", "ssim_map"]
 
 
 def l1(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
@@ -21,7 +21,7 @@ def l1(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
         mask: bool `[H, W]`; all pixels when None.
     """
     _check_shapes(a, b, mask)
-    return masked_mean((a - b).abs(), mask)
+    return masked_mean(_difference(a, b, mask).abs(), mask)
 
 
 def l2(a: Tensor, b: Tensor, mask: Tensor | None = None, weights: Tensor | None = None) -> Tensor:
@@ -37,9 +37,12 @@ def l2(a: Tensor, b: Tensor, mask: Tensor | None = None, weights: Tensor | None 
         weights: factors on the squares, of the same shape; the count that they are divided by stays. None: all 1.
     """
     _check_shapes(a, b, mask)
-    squares = (a - b).square()
-    if weights is not None:
-        squares = torch.where(weights != 0, squares * weights, 0.0)
+    if weights is None:
+        return masked_mean(_difference(a, b, mask).square(), mask)
+    counts = weights != 0
+    if mask is not None:
+        counts = counts & (mask if a.dim() == 2 else mask[..., None])
+    squares = torch.where(counts, a - b, 0.0).square() * weights
     return masked_mean(squares, mask)
 
 
@@ -57,6 +60,25 @@ def ssim_loss(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
     return masked_mean(1.0 - ssim_map(a, b), mask)
 
 
+def l1_and_ssim(a: Tensor, b: Tensor, mask: Tensor, *, compiled: bool = True) -> tuple[Tensor, Tensor]:
+    """Returns `l1` and `ssim_loss` over the pixels of a mask, outside of which SSIM's windows see black.
+
+    Args:
+        a: `[H, W, C]`, 0..1; the picture that is trained.
+        b: the same shape, without gradient.
+        mask: bool `[H, W]`.
+        compiled: by the kernel of `quality/fused.py` where it takes the picture: float32 on a CPU.
+    """
+    _check_shapes(a, b, mask)
+    if compiled and a.dtype == torch.float32 and a.device.type == "cpu":
+        # numba is loaded where it is used
+        from occfusion.quality import fused
+
+        return fused.l1_and_ssim(a, b, mask)
+    shown, wanted = (picture * mask[..., None] for picture in (a, b))
+    return l1(a, b, mask), ssim_loss(shown, wanted, mask)
+
+
 def masked_mean(values: Tensor, mask: Tensor | None = None) -> Tensor:
     """Returns the mean of `[H, W]` or `[H, W, C]` over the pixels of `mask`; 0 for an empty region.
 
@@ -68,6 +90,13 @@ def masked_mean(values: Tensor, mask: Tensor | None = None) -> Tensor:
         mask = mask[..., None].expand_as(values)
     # where, not values[mask]: gathering by a mask is ten times slower backwards, multiplying would keep a NaN
     return torch.where(mask, values, 0.0).sum() / mask.sum().clamp(min=1)
+
+
+def _difference(a: Tensor, b: Tensor, mask: Tensor | None) -> Tensor:
+    """Returns a - b, and 0 outside the mask: the derivative of what is there, which may be NaN, is never asked for."""
+    if mask is None:
+        return a - b
+    return torch.where(mask if mask.dim() == a.dim() else mask[..., None], a - b, 0.0)
 
 
 def _check_shapes(a: Tensor, b: Tensor, mask: Tensor | None) -> None:

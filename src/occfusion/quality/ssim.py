@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -102,12 +104,16 @@ def _terms(moments: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     )
 
 
-def _kernel(length: int, like: Tensor) -> Tensor:
+def window(length: int) -> NDArray[np.float64]:
     """Returns the normalised window for an axis of `length` pixels."""
     width = min(WINDOW, length - 1 + length % 2)
     half = width // 2
     weights = [math.exp(-((i - half) ** 2) / (2 * SIGMA**2)) for i in range(width)]
-    return torch.tensor([w / math.fsum(weights) for w in weights], dtype=like.dtype, device=like.device)
+    return np.array([w / math.fsum(weights) for w in weights])
+
+
+def _kernel(length: int, like: Tensor) -> Tensor:
+    return torch.from_numpy(window(length)).to(like)
 
 
 def _blur(planes: Tensor) -> Tensor:

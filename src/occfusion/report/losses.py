@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from occfusion.files.atomic import write_bytes
+from occfusion.report.drawing import panels, plain_numbers, png
 
 NOT_LOSSES = ("stage", "step", "gaussians")
 SMOOTHED = 50
@@ -24,21 +24,15 @@ def plot_losses(rows: Sequence[Mapping[str, str]], picture: Path | str) -> bool:
     Returns:
         Whether there was anything to draw.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     terms = (
         [name for name in rows[0] if name not in NOT_LOSSES and not name.startswith("rate_")] if rows else []
     )
     if not terms:
         return False
-    lines = -(-len(terms) // PANELS_A_ROW)
-    drawing = Figure(figsize=(3.6 * PANELS_A_ROW, 2.4 * lines), layout="constrained")
-    FigureCanvasAgg(drawing)
-    panels = {term: drawing.add_subplot(lines, PANELS_A_ROW, k) for k, term in enumerate(terms, 1)}
+    drawing, axes_of = panels(len(terms), PANELS_A_ROW, 2.4)
     stages = list(dict.fromkeys(row["stage"] for row in rows))
     last = {stage: max(int(row["step"]) for row in rows if row["stage"] == stage) for stage in stages}
-    for term, axes in panels.items():
+    for term, axes in zip(terms, axes_of, strict=True):
         before, is_positive = 0, True
         for stage in stages:
             steps, values = _smoothed([row for row in rows if row["stage"] == stage], term, before)
@@ -48,11 +42,9 @@ def plot_losses(rows: Sequence[Mapping[str, str]], picture: Path | str) -> bool:
         axes.set_title("weighted sum" if term == "total" else term, fontsize=10)
         axes.set_yscale("log" if is_positive else "linear")
         axes.set_xlim(0, before)
-        axes.grid(alpha=0.3)
+        plain_numbers(axes.yaxis)
     drawing.axes[0].legend(fontsize=8)
-    buffer = io.BytesIO()
-    drawing.savefig(buffer, format="png", dpi=110)
-    write_bytes(picture, buffer.getvalue())
+    write_bytes(picture, png(drawing))
     return True
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from occfusion.files.atomic import write_bytes
 from occfusion.files.run_folder import METRICS, RunFolder, read_json
 from occfusion.files.table import read_table
+from occfusion.report.drawing import panels, plain_numbers, png
 from occfusion.report.losses import SMOOTHED, plot_losses
 from occfusion.report.tables import figure, figures_known, heading, run_title
 
@@ -60,14 +60,9 @@ def plot_error_vs_time(
         picture: the PNG to write.
         perceptual_metric: the name of what the `lpips` column holds.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     shown = [m for m in METRICS if any(row[m] for row in rows)]
-    drawing = Figure(figsize=(3.6 * max(len(shown), 1), 3.0), layout="constrained")
-    FigureCanvasAgg(drawing)
-    for number, metric in enumerate(shown, 1):
-        axes = drawing.add_subplot(1, len(shown), number)
+    drawing, axes_of = panels(len(shown), len(shown), 2.8, below=0.2)
+    for metric, axes in zip(shown, axes_of, strict=True):
         for stage in dict.fromkeys(row["stage"] for row in rows):
             measured = [row for row in rows if row["stage"] == stage and row[metric]]
             seconds = [float(row["train_seconds"]) for row in measured]
@@ -77,12 +72,10 @@ def plot_error_vs_time(
         axes.set_title(heading(metric, perceptual_metric).removesuffix(" x1000"), fontsize=10)
         axes.set_xlabel("training seconds")
         axes.set_xscale("symlog", linthresh=1.0)  # measured at 0, t, 2t, 4t, ...
-        axes.grid(alpha=0.3)
+        plain_numbers(axes.xaxis)
     if shown:
         drawing.axes[0].legend(fontsize=8)
-    buffer = io.BytesIO()
-    drawing.savefig(buffer, format="png", dpi=110)
-    write_bytes(picture, buffer.getvalue())
+    write_bytes(picture, png(drawing))
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -150,7 +143,7 @@ def _losses(table: str, picture: str) -> str:
 
 
 def _pictures(folder: Path) -> str:
-    files = sorted(folder.glob("*.png"))
+    files = sorted(file for file in folder.glob("*.*") if file.suffix in (".png", ".webp"))
     links = [
         f"### {file.stem.replace('_', ' ')}\n\n![{file.stem}]({folder.name}/{file.name})" for file in files
     ]

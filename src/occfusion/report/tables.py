@@ -83,8 +83,8 @@ def print_summary(folder: Path, metrics: Mapping[str, Any]) -> None:
 def next_commands(folder: Path) -> list[str]:
     """Returns what a person wants to type after a run."""
     return [
-        f"python -m occfusion render {folder} --output turntable.mp4",
         f"python -m occfusion render {folder} --motion walk --output walk.mp4",
+        f"python -m occfusion view {folder}",
         f"python -m occfusion export {folder} --output avatar.html",
     ]
 

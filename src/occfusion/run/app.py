@@ -10,13 +10,18 @@ import lightning as L
 from omegaconf import DictConfig
 
 from occfusion.cpu.processes import is_helper
+from occfusion.files.run_folder import STAGES, RunFolder
+from occfusion.human import write_gaussians_ply
 from occfusion.report.page import write_report
 from occfusion.report.tables import print_summary
-from occfusion.run.evaluation import evaluate_run
+from occfusion.run.evaluation import PICTURE_FRAMES, evaluate_run
 from occfusion.run.folder import at_work, finished_in, identify, record_finished
+from occfusion.run.keepsakes import write_before_after, write_turntable
+from occfusion.run.machine import check_machine
 from occfusion.run.prepare import Run, build, claim, decide, observe
 from occfusion.run.prior import run_prior_training
 from occfusion.settings.schema import PRIOR_STAGE, load_settings, stages_to_run
+from occfusion.stages.checkpointing import newest_whole
 from occfusion.stages.loggers import check_logger
 from occfusion.types import Frame, Rendering
 
@@ -39,22 +44,36 @@ def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[P
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     settings = load_settings(config)
     check_logger(settings.logger)
+    check_machine(settings)
     L.seed_everything(settings.seed, verbose=False)
     if settings.stage.name == PRIOR_STAGE:
         card = run_prior_training(settings, folder_chosen_by_user=folder_chosen_by_user)
         return Path(settings.output_dir), card
+    check_checkpoints(RunFolder(Path(settings.output_dir)))
     observed = observe(settings)
     plan = decide(settings, observed)
     folder = claim(settings, observed, plan, folder_chosen_by_user=folder_chosen_by_user)
     with at_work(folder):
         identity = identify(settings)
-        figures = finished_in(folder, identity, observed.data_hash)
+        data = f"{observed.data_hash} {observed.held_out_hash}"
+        figures = finished_in(folder, identity, data)
         if figures is None:
             figures = _run_and_evaluate(build(settings, observed, plan, folder))
         if figures:
-            record_finished(folder, identity, observed.data_hash)  # where the files lie now
+            record_finished(folder, identity, data)  # where the files lie now
             print_summary(folder.path, figures)
     return folder.path, figures
+
+
+def check_checkpoints(folder: RunFolder) -> None:
+    """Looks for checkpoints that nothing could continue from, before the data are read for that.
+
+    Raises:
+        CheckpointError: a stage that is not done has some, and none of them is whole.
+    """
+    for left in map(folder.stage, STAGES):
+        if not left.record.is_file() and not is_helper():
+            newest_whole(left.checkpoint)
 
 
 def _run_and_evaluate(run_: Run) -> dict[str, Any]:
@@ -66,6 +85,8 @@ def _run_and_evaluate(run_: Run) -> dict[str, Any]:
         print(f"run folder: {run_.folder.path}")
         return {}
 
+    write_gaussians_ply(run_.folder.point_cloud, avatar.gaussians)  # also where a stage was taken over
+
     def render(frame: Frame) -> Rendering:
         return run_.renderer.frame(avatar, frame)
 
@@ -74,5 +95,10 @@ def _run_and_evaluate(run_: Run) -> dict[str, Any]:
         gaussians=avatar.gaussians.num_gaussians, left_out=run_.plan.left_out(), body=avatar.body,
         coverage=run_.coverage,
     )  # fmt: skip
+    settings = run_.settings
+    evaluation = settings.evaluation
+    if evaluation.pictures and evaluation.turntable and not settings.trainer.fast_dev_run:
+        write_before_after(run_.folder, avatar, run_.data.spread_train_frames(PICTURE_FRAMES), run_.renderer)
+        write_turntable(run_.folder, evaluation.turntable)
     write_report(run_.folder)
     return figures

@@ -20,10 +20,11 @@ import occfusion
 from occfusion.cpu.processes import helped_folder, is_helper
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes, json_bytes, write_bytes, write_json
+from occfusion.files.digest import changed, digests
 from occfusion.files.lock import Taken, only_one
 from occfusion.files.run_folder import RunFolder, read_json
 from occfusion.run.environment import describe_environment
-from occfusion.settings.schema import PRIOR_STAGE, Settings, settings_hash, stages_to_run
+from occfusion.settings.schema import HELD_OUT_SETTINGS, PRIOR_STAGE, Settings, settings_hash, stages_to_run
 
 MAX_SIBLINGS = 1000
 MARKER_PATIENCE = 1.0
@@ -50,7 +51,7 @@ def claim_run_folder(
 
     Args:
         settings: of the run.
-        data_hash: of all that is read.
+        data_hash: of all that is trained on.
         chosen_by_user: whether the user named the folder.
         data: what the reader took of the data folder, for whoever finds the run later.
 
@@ -193,6 +194,7 @@ def identify(settings: Settings) -> Identity:
         "settings": settings_hash(settings),
         "stages": stages,
         "evaluation": evaluation,
+        "held_out": {key: getattr(settings.dataset, key, None) for key in HELD_OUT_SETTINGS},
         "occfusion": occfusion.__version__,
     }
     evaluates = settings.stage.name != PRIOR_STAGE and stages != ["init"]
@@ -202,7 +204,11 @@ def identify(settings: Settings) -> Identity:
 
 def record_finished(folder: RunFolder, identity: Identity, data_hash: str) -> None:
     """Writes down what a run folder's results belong to; the last thing that a run does."""
-    write_json(folder.finished, {"identity": identity.asked, "data": data_hash, "source": identity.source})
+    files = digests(folder.path, folder.results)
+    write_json(
+        folder.finished,
+        {"identity": identity.asked, "data": data_hash, "source": identity.source, "sha256": files},
+    )
 
 
 def finished_in(folder: RunFolder, identity: Identity, data_hash: str) -> dict[str, Any] | None:
@@ -263,6 +269,14 @@ def _state(name: str, stat: os.stat_result) -> str:
 
 
 def _figures(folder: RunFolder) -> dict[str, Any] | None:
+    """Returns the figures of a finished run; None, which is said, where any of its results is damaged or missing."""
+    try:
+        gone = changed(folder.path, dict(_read(folder.finished).get("sha256", {})))
+    except (TypeError, ValueError):
+        gone = [folder.finished]
+    if gone:
+        print(f"{gone[0]} is missing, or not as the run left it; what it needs is made again")
+        return None
     metrics = _read(folder.metrics)
     return metrics if "regions" in metrics else None
 

@@ -17,7 +17,7 @@ from occfusion.human import Avatar, Body
 from occfusion.observation.frames import ObservedFrame
 from occfusion.priors.build_prior import make_mask_prior
 from occfusion.priors.masks import MaskPrior, TruthMasks
-from occfusion.run.training import training_truths
+from occfusion.run.training import tell_damage, training_truths
 from occfusion.settings.schema import Settings
 from occfusion.stages.init import InitStage
 from occfusion.types import Frame
@@ -65,18 +65,21 @@ class MaskCompletion:
 
         prior, identity = make_prior(settings, data, self.device), {"data": self.data_hash}
         stage = InitStage(prior, body, self.observed_frames, read, settings.init, folder.masks, identity)
-        progress, record = settings.trainer.enable_progress_bar, folder.stage(stage.name).record
+        progress, own = settings.trainer.enable_progress_bar, folder.stage(stage.name)
+        record = own.record
         if settings.trainer.fast_dev_run:  # the one frame that the trial step of each process will see
             seen = {data.position_at(step) for step in range(settings.trainer.devices)}
             stage.complete([k for k in stage.wanted if k in seen], progress=progress)
             return
         wanted = stage.wanted
-        if not wanted and record.is_file():
+        if not wanted and record.is_file() and own.damage is None:
             return
+        tell_damage(own)
 
         def make() -> None:
             started = time.monotonic()
-            stage.complete(wanted, progress=progress)  # all of them, whatever of a damaged result was taken
+            # all of them, whatever of a damaged result was taken
+            stage.complete(sorted({*wanted, *stage.wanted}), progress=progress)
             done = stage.finish()
             steady, seconds = done["consistency"], time.monotonic() - started
             write_json(record, {"train_seconds": seconds, **done})

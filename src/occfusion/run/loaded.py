@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +20,7 @@ from occfusion.run.sequence import ensure_sequence, read_run_clip, read_run_view
 from occfusion.settings.names import without_old_names
 from occfusion.settings.schema import Settings, load_settings
 from occfusion.show.views import TRAIN, View
+from occfusion.stages.checkpointing import read_checkpoint
 from occfusion.types import Camera
 
 _PREFIX = "avatar."
@@ -126,10 +126,7 @@ def stages_with_avatar(folder: RunFolder) -> list[str]:
 
 def _from_checkpoint(path: Path, settings: Settings) -> tuple[Avatar | None, int]:
     """Returns the avatar of a checkpoint and its step; None where the stage trains none."""
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, EOFError, OSError, pickle.UnpicklingError) as error:
-        raise CheckpointError(f"{path} is damaged ({str(error).splitlines()[0]})") from error
+    content = read_checkpoint(path)
     state, step = content["state_dict"], int(content["global_step"])
     own = {name.removeprefix(_PREFIX): value for name, value in state.items() if name.startswith(_PREFIX)}
     if not own:

@@ -13,7 +13,7 @@ from occfusion.files.sharing import shared_folder, take_or_make
 from occfusion.human import Avatar, load_avatar, write_gaussians_ply
 from occfusion.inpaint.accumulation import accumulate, paint_observed
 from occfusion.priors.build_prior import make_score_prior
-from occfusion.run.training import AvatarTraining
+from occfusion.run.training import AvatarTraining, tell_damage
 from occfusion.settings.schema import optim_hash
 from occfusion.stages.distil import Distiller
 from occfusion.stages.optim import OptimStage
@@ -48,6 +48,7 @@ class Optimisation:
         if own.has_avatar:
             print(f"optim: finished before, taken from {own.path}")
             return load_avatar(own.avatar, avatar.body)
+        tell_damage(own)
         if settings.trainer.fast_dev_run or is_helper():
             self._train(avatar)
             return avatar
@@ -57,16 +58,16 @@ class Optimisation:
             _copy_tables(folder, RunFolder(own.path))
 
         chosen = settings.evaluation
-        curve = (chosen.curve, chosen.curve_images, chosen.curve_first_second)
+        curve = (chosen.curve, chosen.curve_images, chosen.curve_first_second, training.held_out_hash)
         identity = {"settings": optim_hash(training.planned), "data": training.data_hash, "curve": curve}
         shared = shared_folder(folder, settings.shared_dir, "optim", identity)
         made = take_or_make(
             shared,
             own.path,
             own.record,
-            is_whole=own.avatar.is_file,
+            is_whole=lambda: own.has_avatar,
             make=make,
-            without=[own.checkpoint.name],
+            without=[own.checkpoint.name, own.earlier_checkpoint.name],
         )
         if made is None:
             return avatar

@@ -73,8 +73,13 @@ class Observed:
 
     @property
     def data_hash(self) -> str:
-        """The hash of all that is read."""
+        """The hash of all that is trained on."""
         return str(self.summary["hash"])
+
+    @property
+    def held_out_hash(self) -> str:
+        """The hash of all that is only measured on."""
+        return str(self.summary["held_out_hash"])
 
 
 class RunStage(Protocol):
@@ -272,6 +277,7 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         folder=folder,
         data=observed.data,
         data_hash=observed.data_hash,
+        held_out_hash=observed.held_out_hash,
         observed_frames=frames,
         uncertain=UncertainMasks.found(frames),
         surface=observed.surface,
@@ -302,6 +308,10 @@ def _make_avatar(planned: Settings, observed: Observed) -> Avatar:
     if optim.key_light:
         assert observed.key_light is not None  # the plan has one only where one was found
         lamp = torch.from_numpy(observed.key_light.vector).to(body.v_template)
+    gaussians = Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness)
+    if optim.gaussians not in (0, found := gaussians.num_gaussians):
+        why = "each vertex has one" if found > optim.gaussians else "each vertex and face has one"
+        _tell("Gaussians", [f"{found} at the start, though optim.gaussians={optim.gaussians}: {why}"])
     return Avatar(
         body,
         sh_degree=sh_degree,
@@ -311,5 +321,5 @@ def _make_avatar(planned: Settings, observed: Observed) -> Avatar:
         skinning_every=optim.skinning_every,
         key_light=lamp,
         dilation=optim.dilation,
-        gaussians=Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness),
+        gaussians=gaussians,
     )

@@ -56,7 +56,7 @@ def run_prior_training(settings: Settings, *, folder_chosen_by_user: bool) -> di
     stage = PriorStage(net, training, seed=settings.seed)
     curve = PriorCurve(folder.curve, training, task)
     batches = DataLoader(_Steps(task.batch, lambda: stage.global_step), batch_size=None)
-    fit(stage, batches, settings, folder, folder.checkpoint, steps=training.steps, measuring=[curve])
+    done = fit(stage, batches, settings, folder, folder.checkpoint, steps=training.steps, measuring=[curve])
     trained = stage.finished()
     figures = task.finish(trained, stage.device)
     card = {
@@ -71,6 +71,7 @@ def run_prior_training(settings: Settings, *, folder_chosen_by_user: bool) -> di
     )  # fmt: skip
     write_json(folder.prior_card, card)
     print(f"weights: {folder.prior_weights}")
+    done.stop_if_asked()
     return card
 
 

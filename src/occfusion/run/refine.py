@@ -14,7 +14,7 @@ from occfusion.inpaint.accumulation import accumulate, paint_unseen
 from occfusion.inpaint.build_inpainter import make_inpainter
 from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
 from occfusion.plan.make import refined_sh_degree, steps_of
-from occfusion.run.training import AvatarTraining, training_truths
+from occfusion.run.training import AvatarTraining, tell_damage, training_truths
 from occfusion.settings.schema import Settings
 from occfusion.stages.inpaint import InpaintStage
 from occfusion.stages.references import References
@@ -45,6 +45,7 @@ class Refinement:
         if own.has_avatar:
             print(f"refine: finished before, taken from {own.path}")
             return load_avatar(own.avatar, avatar.body)
+        tell_damage(own)
         training.warm_up("refine")
         coarse = hashlib.sha256(folder.stage("optim").avatar.read_bytes()).hexdigest()[:16]
         identity = {"data": training.data_hash, "avatar": coarse}

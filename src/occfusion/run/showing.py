@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,7 +41,6 @@ MOVING_PATHS = (*OWN_CAMERAS, "bullet-time")
 FRAMES = 120
 """Pictures of a path on which nothing moves."""
 DEFAULT_SIZE = 512
-USUAL_FPS = 24.0
 MOST_FPS = 60.0
 
 
@@ -230,3 +229,12 @@ def inputs_of(run: LoadedRun, views: list[View], size: tuple[int, int] | None) -
             place[:, 2] += 0.5 * scale - 0.5
             picture = cv2.warpAffine(picture, place, size, flags=cv2.INTER_LINEAR)
         yield picture
+
+
+def run_names(folders: Sequence[Path]) -> list[str]:
+    """Returns names that tell runs apart: of their paths what not all share."""
+    parts = [folder.resolve().parts for folder in folders]
+    shortest = min(len(part) for part in parts)
+    first = next((k for k in range(shortest) if len({part[k] for part in parts}) > 1), shortest - 1)
+    last = next((k for k in range(1, shortest - first + 1) if len({part[-k] for part in parts}) > 1), 1)
+    return ["/".join(part[first : len(part) - last + 1]) or part[-1] for part in parts]

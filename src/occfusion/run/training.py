@@ -15,7 +15,8 @@ from occfusion.cpu.processes import is_helper, tell_helpers
 from occfusion.data.module import HumanDataModule
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
-from occfusion.files.run_folder import RunFolder
+from occfusion.files.digest import digest
+from occfusion.files.run_folder import RunFolder, StageFolder
 from occfusion.geometry.normals import vertex_normals
 from occfusion.human import Avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
@@ -43,6 +44,30 @@ WARM_UP_SAID = 0.05
 """Seconds from which on the user is told of the rasteriser's warming up."""
 
 
+@dataclass(frozen=True)
+class Fitted:
+    """How the training of a stage ended, with all its steps done.
+
+    Attributes:
+        steps: done.
+        signal: that came too late to stop a step; None: none did.
+        place: of what the same command continues from.
+    """
+
+    steps: int
+    signal: int | None
+    place: Path
+
+    def stop_if_asked(self) -> None:
+        """Stops for that signal; called when what the stage made is handed over.
+
+        Raises:
+            Interrupted: the same command continues behind this stage.
+        """
+        if self.signal is not None:
+            raise Interrupted(self.signal, str(self.place))
+
+
 def fit(
     stage: Stage,
     batches: L.LightningDataModule | Iterable[Any],
@@ -54,8 +79,8 @@ def fit(
     devices: int = 1,
     measuring: Sequence[L.Callback] = (),
     pictured: Pictured | None = None,
-) -> int:
-    """Trains a stage; returns how many steps are done.
+) -> Fitted:
+    """Trains a stage; returns how that ended.
 
     Args:
         stage: what is trained, in place.
@@ -73,7 +98,7 @@ def fit(
         CheckpointError: the checkpoint is damaged.
     """
     chosen, guard, logs = settings.trainer, SignalGuard(), Logs([], [])
-    earlier = None if chosen.fast_dev_run else resumable(checkpoint)
+    earlier = None if chosen.fast_dev_run else resumable(checkpoint, stage)
     progress = chosen.enable_progress_bar and not is_helper()
     if not is_helper():  # one process alone logs
         place = Place(folder, stage.name, earlier, is_trial=chosen.fast_dev_run)
@@ -101,7 +126,7 @@ def fit(
         trainer.fit(stage, batches, ckpt_path=earlier, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(checkpoint))
-    return trainer.global_step
+    return Fitted(trainer.global_step, guard.received, checkpoint)
 
 
 @dataclass(frozen=True)
@@ -113,7 +138,8 @@ class AvatarTraining:
         planned: those that training goes by.
         folder: of the run.
         data: the training and held-out frames.
-        data_hash: of all that is read.
+        data_hash: of all that is trained on.
+        held_out_hash: of all that is only measured on, for the error curve.
         observed_frames: what masks and poses say of the training frames; empty where nothing depends on it.
         uncertain: where complete masks may be wrong.
         surface: what the video says of the body's surface; None where nothing depends on it.
@@ -127,6 +153,7 @@ class AvatarTraining:
     folder: RunFolder
     data: HumanDataModule
     data_hash: str
+    held_out_hash: str
     observed_frames: Sequence[ObservedFrame]
     uncertain: UncertainMasks
     surface: ObservedSurface | None
@@ -138,6 +165,11 @@ class AvatarTraining:
         """Compiles what the first step would wait for, so that a machine's first run trains no longer than others."""
         started = time.perf_counter()
         self.renderer.warm_up()
+        if self.renderer.backend == "numba":
+            # numba is loaded where it is used
+            from occfusion.quality import fused
+
+            fused.warm_up()
         seconds = time.perf_counter() - started
         if seconds >= WARM_UP_SAID:
             ready = f"rasteriser {self.renderer.backend} ready after {seconds:.1f} s"
@@ -217,8 +249,16 @@ class AvatarTraining:
         write_gaussians_ply(self.folder.point_cloud, avatar.gaussians)
         pose, seconds = data.pose(data.train_indices[0]), seconds_before + stage.clock.seconds
         first_pose = {"betas": pose.betas.tolist(), "body_pose": pose.body_pose.tolist()}
+        record = {"train_seconds": seconds, "steps": done.steps, "sha256": digest(own.avatar)}
         # last, for it says "done"
-        write_json(own.record, {"train_seconds": seconds, "steps": done, "first_pose": first_pose})
+        write_json(own.record, record | {"first_pose": first_pose})
+        done.stop_if_asked()
+
+
+def tell_damage(left: StageFolder) -> None:
+    """Tells the user of what is wrong with a finished stage, before it is made again."""
+    if (damage := left.damage) is not None:
+        print(f"{left.path.name}: {damage}; made again from what is whole")
 
 
 def training_truths(data: HumanDataModule, group: str) -> Iterator[tuple[str, Truth]]:

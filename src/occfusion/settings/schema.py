@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -30,6 +31,8 @@ from occfusion.settings.stages import (
     RefineSettings,
 )
 
+HELD_OUT_SETTINGS = ("test_cameras", "test_frames")
+"""Of a data set: what is measured on, which changes nothing that training computes."""
 PRIOR_STAGE = "prior"
 """The stage that trains a prior; it has no data set and no avatar."""
 
@@ -103,7 +106,7 @@ class PerceptualSettings:
 class TrainerSettings:
     """How the Lightning trainer runs."""
 
-    accelerator: str = setting("auto", "as in Lightning: auto, cpu, gpu")
+    accelerator: str = setting("auto", "as in Lightning", choices=("auto", "cpu", "gpu", "cuda"))
     devices: int = setting(
         1, "processes, each with a GPU or a CPU's cores, that train this scene together", 1, 1024
     )
@@ -138,6 +141,9 @@ class EvaluationSettings:
         choices=("none", "camera"),
     )
     pictures: bool = setting(True, "truth, rendering and error side by side")
+    turntable: int = setting(
+        60, "pictures of a turn around the avatar, with a strip of video above avatar; 0: neither", 0, 1000
+    )
     curve: bool = setting(True, "error_vs_time.csv on a fixed handful of held-out images")
     curve_images: int = setting(4, "how many that handful has", 1, 1000)
     curve_first_second: float = setting(
@@ -214,6 +220,11 @@ def load_settings(config: DictConfig | dict[str, Any]) -> Settings:
     for stage in ("optim", "refine"):
         getattr(settings, stage).check(stage)
     _check_stages(settings)
+    limit = settings.trainer.max_time
+    if limit is not None and re.fullmatch(r"\d+:\d{1,2}:\d{1,2}:\d{1,2}", limit) is None:
+        raise ConfigError(
+            f'setting trainer.max_time={limit!r}: must be "days:hours:minutes:seconds", e.g. "00:00:03:00"'
+        )
     return settings
 
 
@@ -261,6 +272,8 @@ def settings_hash(settings: Settings) -> str:
     for key in ("checkpoint_every", "enable_progress_bar"):
         del relevant["trainer"][key]
     del relevant["dataset"]["root"], relevant["variant"]["paper"]
+    for key in HELD_OUT_SETTINGS:
+        relevant["dataset"].pop(key, None)
     for key in ("turn", "facing"):  # unset they change nothing: runs from before they existed go on
         if relevant["dataset"].get(key) is None:
             relevant["dataset"].pop(key, None)

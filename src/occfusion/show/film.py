@@ -109,11 +109,16 @@ def picture_of(
     if background.picture is None:
         straight = over_black / layers.alpha.clamp_min(1e-6)[..., None]
         return _bytes(torch.cat([straight, layers.alpha[..., None]], dim=-1))
-    return _bytes(over_black + (1 - layers.alpha[..., None]) * background.picture)
+    if not bool(background.picture.any()):
+        return _bytes(over_black)
+    return _bytes(torch.addcmul(over_black, 1 - layers.alpha[..., None], background.picture))
 
 
 def _bytes(values: torch.Tensor) -> Picture:
-    return (values.detach().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+    whole = values.detach().contiguous().numpy()
+    rows = whole.reshape(len(whole), -1)
+    # one pass instead of four: rounds to the nearest, ends at 0 and 255
+    return np.asarray(cv2.addWeighted(rows, 255.0, rows, 0.0, 0.0, dtype=cv2.CV_8U)).reshape(whole.shape)
 
 
 def side_by_side(pictures: Sequence[Picture], names: Sequence[str]) -> Picture:

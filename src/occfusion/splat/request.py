@@ -124,6 +124,8 @@ def check_request(request: Request) -> None:
     x, y, w, h = request.crop
     if request.width < 1 or request.height < 1:
         raise ConfigError(f"rasterize: a picture of {request.width} x {request.height} pixels is empty")
+    if not all(isinstance(part, int) for part in (*request.crop, request.width, request.height)):
+        raise ConfigError(f"rasterize: crop {request.crop} must be whole numbers of pixels")
     if w < 1 or h < 1 or x < 0 or y < 0 or x + w > request.width or y + h > request.height:
         raise ConfigError(
             f"rasterize: crop (x, y, width, height) = {request.crop} is not inside the"

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.graph import increment_version
 
 from occfusion.geometry.boxes import person_box
 from occfusion.human.avatar import Avatar
@@ -16,6 +17,7 @@ from occfusion.human.densify import Densifier
 from occfusion.human.gaussians import means_rate
 from occfusion.human.rendering import Renderer
 from occfusion.perceptual import PerceptualMetric, random_crop_box
+from occfusion.quality import losses
 from occfusion.settings.stages import AvatarSettings
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
 from occfusion.stages.surface import SurfacePrior
@@ -65,7 +67,6 @@ class AvatarStage(Stage):
         self.seed = seed
         self.steps_before = steps_before
         self.surface = surface
-        self._frame_name = ""
         self._screen_offsets: Tensor | None = None
         self._radii: Tensor | None = None
         self._camera: Camera | None = None
@@ -100,11 +101,32 @@ class AvatarStage(Stage):
         """Returns the number of Gaussians."""
         return {"gaussians": self.num_gaussians}
 
+    def colour_terms(self, rgb: Tensor, target: Tensor, mask: Tensor) -> dict[str, Tensor]:
+        """Returns `rgb` and `ssim` over the pixels of a mask, black elsewhere; those of weight zero are not built.
+
+        Args:
+            rgb: the rendered crop, `[h, w, 3]`.
+            target: the frame's.
+            mask: bool `[h, w]`.
+        """
+        weights = self._schedule.term_weights()
+        if weights["rgb"] and weights["ssim"]:
+            compiled = self._renderer.backend == "numba"
+            return dict(
+                zip(("rgb", "ssim"), losses.l1_and_ssim(rgb, target, mask, compiled=compiled), strict=True)
+            )
+        if weights["rgb"]:
+            return {"rgb": losses.l1(rgb, target, mask)}
+        if weights["ssim"]:
+            black = mask[..., None]
+            return {"ssim": losses.ssim_loss(rgb * black, target * black, mask)}
+        return {}
+
     # -- one step ---------------------------------------------------------------------------------------------
 
     def training_step(self, frame: Frame, _batch_idx: int) -> Tensor:
         """Returns the weighted sum of the loss terms for one frame."""
-        self._frame_name = frame.name
+        self.frame = frame
         rendering, box = self._render_crop(frame)
         terms = self.terms(frame, rendering, box)
         if self.surface is not None:
@@ -147,7 +169,9 @@ class AvatarStage(Stage):
         groups = self.avatar.parameter_groups(vars(self._schedule.rates))
         for group in groups:
             group["first_lr"] = group["lr"]
-        return torch.optim.Adam(groups, eps=ADAM_EPS, fused=False)
+        adam = torch.optim.Adam(groups, eps=ADAM_EPS, fused=True)
+        adam.register_step_post_hook(_count_change)
+        return adam
 
     def on_train_start(self) -> None:
         """Starts the training clock."""
@@ -185,7 +209,8 @@ class AvatarStage(Stage):
 
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
         """Checks the gradients and collects what densification needs of them."""
-        check_finite_gradients(optimizer.param_groups, self.name, self.global_step, self._frame_name)
+        name = "" if self.frame is None else self.frame.name
+        check_finite_gradients(optimizer.param_groups, self.name, self.global_step, name)
         if self.densifier is not None and self._screen_offsets is not None:
             gradient = self._screen_offsets.grad
             assert gradient is not None and self._radii is not None and self._camera is not None
@@ -206,3 +231,8 @@ class AvatarStage(Stage):
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Takes the training seconds of the earlier run over."""
         self.clock.restore(checkpoint["train_seconds"])
+
+
+def _count_change(optimizer: torch.optim.Optimizer, *_: Any) -> None:
+    """Says that parameters have changed: the fused step of torch 2.13 does not, and what is kept of them would stay."""
+    increment_version([parameter for group in optimizer.param_groups for parameter in group["params"]])

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from occfusion.errors import NumericsError
 from occfusion.stages.clock import TrainingClock
+from occfusion.types import Frame
 
 
 class Stage(L.LightningModule):
@@ -18,6 +19,7 @@ class Stage(L.LightningModule):
     Attributes:
         step_terms: the loss terms of the last step, unweighted; those that it did not ask are not in it.
         step_total: their weighted sum.
+        frame: of the step under way; None where steps have none.
     """
 
     name: str
@@ -27,6 +29,7 @@ class Stage(L.LightningModule):
         self.clock = TrainingClock()
         self.step_terms: dict[str, Tensor] = {}
         self.step_total = torch.zeros(())
+        self.frame: Frame | None = None
         self._terms: dict[str, Tensor] = {}
 
     def counts(self) -> dict[str, int]:

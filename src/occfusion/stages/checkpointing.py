@@ -4,37 +4,104 @@ from __future__ import annotations
 
 import os
 import pickle
+import sys
+import zipfile
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import lightning as L
+import numpy as np
 import torch
 
 from occfusion.errors import CheckpointError, NumericsError
+from occfusion.files.atomic import atomic_write
+from occfusion.files.run_folder import StageFolder
 from occfusion.stages.base import Stage
+from occfusion.types import Frame
+
+PARTS = ("state_dict", "global_step", "optimizer_states", "loops")
 
 
-def resumable(path: Path) -> Path | None:
-    """Returns the checkpoint to continue from, None when there is none.
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Returns the content of a checkpoint; nothing in it is executed.
 
     Raises:
-        CheckpointError: the file is not a whole checkpoint.
+        CheckpointError: truncated, changed, or no checkpoint of a stage.
     """
-    if not path.is_file():
-        return None
     try:
-        torch.load(path, map_location="cpu", weights_only=True, mmap=True)
-    except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
-        raise CheckpointError(
-            f"{path} is damaged ({str(error).splitlines()[0]}); remove it to start the stage anew"
-        ) from error
-    return path
+        with zipfile.ZipFile(path) as archive:
+            if (wrong := archive.testzip()) is not None:
+                raise CheckpointError(f"{path} is damaged (checksum of {wrong})")
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, EOFError, OSError, ValueError, zipfile.BadZipFile, pickle.UnpicklingError) as error:
+        raise CheckpointError(f"{path} is damaged ({(str(error) or 'empty').splitlines()[0]})") from error
+    missing = [part for part in PARTS if not isinstance(content, dict) or part not in content]
+    if missing:
+        raise CheckpointError(f"{path} is no checkpoint of a stage: {', '.join(missing)} missing")
+    return content
+
+
+def resumable(path: Path, stage: Stage) -> Path | None:
+    """Returns the checkpoint to continue a stage from, the newest that is whole; None when there is none.
+
+    Raises:
+        CheckpointError: there are some, and none is whole.
+    """
+    found, problems = newest_whole(path, stage.state_dict().keys())
+    if problems:
+        print("; ".join([*problems, f"{stage.name}: continues from {found}, the one before"]))
+    return found
+
+
+def newest_whole(path: Path, wanted: Collection[str] = ()) -> tuple[Path | None, list[str]]:
+    """Returns the newest checkpoint of a stage that is whole, or None, and what is wrong with those after it.
+
+    Args:
+        path: of the newest.
+        wanted: names in the state that it must have.
+
+    Raises:
+        CheckpointError: there are some, and none is whole.
+    """
+    problems = []
+    for candidate in (path, StageFolder(path.parent).earlier_checkpoint):
+        if not candidate.is_file():
+            continue
+        try:
+            missing = set(wanted) - set(read_checkpoint(candidate)["state_dict"])
+            if missing:
+                raise CheckpointError(f"{candidate} is of another stage or release: {min(missing)} missing")
+        except CheckpointError as error:
+            problems.append(str(error))
+        else:
+            return candidate, problems
+    if problems:
+        raise CheckpointError(f"{'; '.join(problems)}; remove {path.parent} to start the stage anew")
+    return None, []
+
+
+def keep_step(path: Path, frame: Frame, stage: str, step: int, why: str) -> None:
+    """Writes the frame of a step, and which step it was, whole or not at all."""
+    pose, camera = frame.pose, frame.camera
+    tensors = {
+        "rgb": frame.rgb, "visible_mask": frame.visible_mask, "viewmat": camera.viewmat, "K": camera.K,
+        "betas": pose.betas, "global_orient": pose.global_orient, "body_pose": pose.body_pose, "transl": pose.transl,
+    }  # fmt: skip
+    if frame.complete_mask is not None:
+        tensors["complete_mask"] = frame.complete_mask
+    about = {"stage": stage, "step": step, "frame": frame.name, "why": why}
+    content: dict[str, Any] = {name: value.detach().cpu().numpy() for name, value in tensors.items()}
+    content |= {name: np.asarray(value) for name, value in about.items()}
+    with atomic_write(path) as stream:
+        np.savez_compressed(stream, **content)
 
 
 class Checkpointing(L.Callback):
     """Saves the trainer's state every `every` steps, at the end, and when an exception ends the run.
 
-    The file is written beside its place and renamed, so an interrupted write leaves the previous one whole.
+    The file is written beside its place and renamed, so an interrupted write leaves the previous one whole. That one
+    stays beside it, for where a disk damages the newest.
     """
 
     def __init__(self, path: Path, every: int) -> None:
@@ -52,6 +119,8 @@ class Checkpointing(L.Callback):
             try:
                 trainer.save_checkpoint(partial)  # of several processes the first writes, and all wait for it
                 if trainer.is_global_zero:
+                    if self.path.is_file():
+                        os.replace(self.path, StageFolder(self.path.parent).earlier_checkpoint)
                     os.replace(partial, self.path)
             except OSError as error:
                 partial.unlink(missing_ok=True)
@@ -84,3 +153,7 @@ class Checkpointing(L.Callback):
         alone = trainer.world_size == 1
         if alone and isinstance(exception, NumericsError) and isinstance(pl_module, Stage):
             self.save(trainer, pl_module)
+            place = StageFolder(self.path.parent).bad_step
+            if pl_module.frame is not None:
+                keep_step(place, pl_module.frame, pl_module.name, trainer.global_step, str(exception))
+                print(f"kept for `python -m occfusion replay {place}`", file=sys.stderr)

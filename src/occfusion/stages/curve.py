@@ -50,8 +50,12 @@ class ErrorCurve(L.Callback):
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Measures the start of a fresh run, or drops what a resumed run will measure again."""
         assert isinstance(pl_module, AvatarStage)
-        rows = read_table(self.path)
-        kept = [r for r in rows if r["stage"] != pl_module.name or int(r["step"]) <= trainer.global_step]
+        try:
+            rows = read_table(self.path)
+            kept = [r for r in rows if r["stage"] != pl_module.name or int(r["step"]) <= trainer.global_step]
+        except (KeyError, TypeError, ValueError):
+            print(f"{pl_module.name}: {self.path} is damaged; the curve begins here")
+            kept = []
         write_table(self.path, COLUMNS, kept)
         while self._next <= pl_module.clock.seconds:
             self._next *= 2

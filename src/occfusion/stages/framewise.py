@@ -11,8 +11,10 @@ import lightning as L
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
+from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_json
-from occfusion.files.run_folder import FrameFolder
+from occfusion.files.digest import changed, digests
+from occfusion.files.run_folder import FrameFolder, read_json
 from occfusion.stages.base import Stage
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.progress import FrameProgress
@@ -49,10 +51,10 @@ class FramewiseStage(Stage):
             progress: whether a progress line is shown.
 
         Raises:
-            Interrupted: a signal stopped it before all was done; what is written stays.
+            Interrupted: a signal stopped it; what is written stays.
         """
         signal = predict_frames(self, read, positions, progress=progress) if positions else None
-        if signal is not None and self.wanted:
+        if signal is not None:
             raise Interrupted(signal, str(self.folder.path))
 
     def read_again(self) -> None:
@@ -64,10 +66,30 @@ class FramewiseStage(Stage):
         path = self.folder.manifest
         if not path.is_file():
             return {}
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content["identity"] != json.loads(json.dumps(self.identity)):
+        try:
+            content = read_json(path)
+            if content["identity"] != json.loads(json.dumps(self.identity)):
+                return {}
+            frames = {str(name): dict(record) for name, record in content["frames"].items() if int(name) >= 0}
+            whole = {
+                name: record for name, record in frames.items() if not self._is_changed(int(name), record)
+            }
+        except (CheckpointError, AttributeError, KeyError, TypeError, ValueError):
+            print(f"{self.name}: {path} is damaged; its pictures are made again")
             return {}
-        return {name: r for name, r in content["frames"].items() if self.folder.picture(int(name)).is_file()}
+        if len(whole) < len(frames):
+            missed = sorted(frames.keys() - whole.keys())
+            print(
+                f"{self.name}: {len(missed)} pictures in {self.folder.path} are not as they were left, first that of "
+                f"frame {missed[0]}; made again"
+            )
+        return whole
+
+    def _is_changed(self, frame: int, record: dict[str, Any]) -> bool:
+        """Returns whether pictures of a frame are not those of its record; older ones have no fingerprints."""
+        return not self.folder.picture(frame).is_file() or bool(
+            changed(self.folder.path, record.get("sha256", {}))
+        )
 
     def transfer_batch_to_device(self, batch: Frame, device: torch.device, dataloader_idx: int) -> Frame:
         """Returns the frame where it is: geometry is done on the host, and a network's owner moves what it needs."""
@@ -78,7 +100,10 @@ class FramewiseStage(Stage):
         self.write_manifest()
 
     def write_manifest(self, **more: Any) -> None:
-        """Writes what was done, with what."""
+        """Writes what was done, with what, and the fingerprints of the pictures."""
+        for name, record in self.records.items():
+            pictures = (self.folder.picture(int(name)), self.folder.second_picture(int(name)))
+            record.setdefault("sha256", digests(self.folder.path, pictures))
         content = {"identity": self.identity, **more, "frames": dict(sorted(self.records.items()))}
         write_json(self.folder.manifest, content)
 

@@ -72,16 +72,12 @@ class OptimStage(AvatarStage):
         settings = self.settings
         everywhere = settings.pixels == "all"
         pixels = ones_like(target.visible_mask) if everywhere else target.visible_mask
-        rgb = rendering.rgb if everywhere else rendering.rgb * pixels[..., None]
-        terms: dict[str, Tensor] = {}
-        if settings.lambda_rgb:
-            terms["rgb"] = losses.l1(rgb, target.rgb, pixels)
+        terms = self.colour_terms(rendering.rgb, target.rgb, pixels)
         if settings.lambda_mask:
-            terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rgb.dtype), weights=weights)
-        if settings.lambda_ssim:
-            terms["ssim"] = losses.ssim_loss(rgb, target.rgb, pixels)
+            terms["mask"] = losses.l2(rendering.alpha, target.mask.to(rendering.alpha.dtype), weights=weights)
         if (perceptual := self.perceptual_due()) is not None:
             # outside the visible pixels both pictures are black
+            rgb = rendering.rgb if everywhere else rendering.rgb * pixels[..., None]
             box = self.perceptual_box(target.visible_mask)
             terms["lpips"] = perceptual(crop(rgb, box), crop(target.rgb, box))
         return terms

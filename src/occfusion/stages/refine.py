@@ -73,9 +73,10 @@ class RefineStage(AvatarStage):
         if reference is not None and settings.references.perceptual:
             wanted, looked_at = reference.rgb, target.visible_mask | reference.region
         rgb = rendering.rgb
-        terms: dict[str, Tensor] = {}
-        if settings.lambda_rgb:
-            terms["rgb"] = losses.l1(rgb, target.rgb, target.visible_mask)
+        terms = self.colour_terms(rgb, target.rgb, target.visible_mask)
+        if "ssim" in terms and looked_at is not target.visible_mask:
+            shown, black_elsewhere = (picture * looked_at[..., None] for picture in (rgb, wanted))
+            terms["ssim"] = losses.ssim_loss(shown, black_elsewhere, looked_at)
         if settings.lambda_mask:
             unseen = None if reference is None or settings.references.pixels != "unseen" else reference.region
             weights = mask_weights(frame, box, self.uncertain, settings.hidden.effective_weight, unseen)
@@ -83,12 +84,9 @@ class RefineStage(AvatarStage):
             terms["mask"] = losses.l2(rendering.alpha, mask.to(rgb.dtype), weights=weights)
         if settings.references.weight and reference is not None:
             terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)
-        shown, wanted = (
-            picture * looked_at[..., None] for picture in (rgb, wanted)
-        )  # black elsewhere in both
-        if settings.lambda_ssim:
-            terms["ssim"] = losses.ssim_loss(shown, wanted, looked_at)
         if (perceptual := self.perceptual_due()) is not None:
             window = self.perceptual_box(looked_at)
-            terms["lpips"] = perceptual(crop(shown, window), crop(wanted, window))
+            # black elsewhere in both
+            shown, wanted = (crop(picture * looked_at[..., None], window) for picture in (rgb, wanted))
+            terms["lpips"] = perceptual(shown, wanted)
         return terms

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.cpu.compilation import serial
 from occfusion.synth.rotations import Floats
 
 
-@numba.njit(cache=True, nogil=True)
+@serial
 def _lattice(x: int, y: int, z: int, seed: int) -> float:
     """Returns a number in -1..1 for a lattice point (an integer hash in the manner of murmur's mixer)."""
     h = np.uint32(x) * np.uint32(374761393) + np.uint32(y) * np.uint32(668265263)
@@ -20,7 +20,7 @@ def _lattice(x: int, y: int, z: int, seed: int) -> float:
     return (h & np.uint32(0xFFFFFF)) / 8388607.5 - 1.0
 
 
-@numba.njit(cache=True, nogil=True)
+@serial
 def _noise(points: NDArray[np.float64], seed: int, out: NDArray[np.float64]) -> None:
     for n in range(points.shape[0]):
         fx, fy, fz = np.floor(points[n, 0]), np.floor(points[n, 1]), np.floor(points[n, 2])

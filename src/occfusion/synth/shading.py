@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.cpu.compilation import serial
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.synth.rotations import Floats
 
@@ -76,7 +76,7 @@ def draw(mesh: Mesh, viewmat: Floats, K: Floats, size: int) -> Window | None:
     return Window(left, top, seen.depth, colour)
 
 
-@numba.njit(cache=True, nogil=True)
+@serial
 def _shade(
     face: NDArray[np.int32],
     barycentrics: NDArray[np.float32],
@@ -112,7 +112,7 @@ def _shade(
                 out[row, column, c] = min(value, 255.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@serial
 def lay_over(
     picture: NDArray[np.float32],
     coverage: NDArray[np.float32],

@@ -34,6 +34,8 @@ NEAREST, FARTHEST = 0.1, 100.0
 DISTORTION_COUNTS = (4, 5, 8)
 """k1 k2 p1 p2, with k3, with k4 to k6."""
 
+MAX_ANGLE = 50.0
+"""Radians; several whole turns, which root orientations that are followed through time may have."""
 MAX_SHAPES = 300
 """Most shape coefficients that a body of SMPL's family has."""
 
@@ -140,6 +142,20 @@ def check_intrinsics(K: Array, size: tuple[int, int], where: str) -> None:
         raise DataError(
             f"{where} has its principal point at ({K[0, 2]:.1f}, {K[1, 2]:.1f}), outside the picture of "
             f"{width} x {height}; were the pictures scaled or cropped after the calibration?"
+        )
+
+
+def check_angles(angles: Array, where: str) -> None:
+    """Refuses joint angles that no person ever turned by, though their sine exists.
+
+    Raises:
+        DataError: naming the place and the largest.
+    """
+    largest = float(np.abs(angles).max(initial=0.0))
+    if largest > MAX_ANGLE:
+        raise DataError(
+            f"{where}: a joint is turned by {largest:.3g}, more than {MAX_ANGLE} radians; are these degrees? "
+            "Give axis-angles in radians."
         )
 
 

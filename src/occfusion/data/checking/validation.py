@@ -171,19 +171,34 @@ def _explanation(
 def _held_out_warnings(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
     """Returns one sentence naming the held-out cameras whose mask the body misses in the first test frame."""
     frame = prepared.test[0]
+    warnings, trained = [], set(prepared.train_views)
+    asked = [(moment, camera) for camera in prepared.cameras for moment in prepared.test]
+    dropped = sum(view in trained for view in asked)
+    if 0 < dropped < len(asked):
+        warnings.append(
+            f"{prepared.scene.root}: {dropped} of {len(asked)} held-out views are trained on and not measured; leave "
+            "dataset.train_camera out of dataset.test_cameras."
+        )
     vertices, _ = poser.pose(views.parameters(frame))
-    doubtful = []
+    doubtful, seen = [], 0
     for index in prepared.cameras:
         person = survey.read_person(prepared.scene, frame, index).whole
         camera = prepared.scene.calibration(index)
         fit, _ = overlap.mask_overlap(vertices, camera, person.full())
+        seen += not person.empty
         if fit < LOW_OVERLAP and not person.empty:
             doubtful.append(camera.name)
+    if prepared.cameras and not seen:
+        warnings.append(
+            f"{prepared.scene.root}, frame {frame}: no mask of the {len(prepared.cameras)} held-out cameras shows a "
+            "person; figures of views without a person are null. Check their masks."
+        )
     if not doubtful:
-        return []
+        return warnings
     names = ", ".join(doubtful[:5])
     return [
+        *warnings,
         f"{prepared.scene.root}, frame {frame}: projected body and mask overlap badly (IoU below "
         f"{LOW_OVERLAP}) in {len(doubtful)} of {len(prepared.cameras)} held-out cameras: {names}. "
-        "Check their R and T."
+        "Check their R and T.",
     ]

@@ -22,10 +22,10 @@ from occfusion.splat.backends.numba.layout import (
     G_POWER,
     G_RED,
     G_U,
-    G_UX,
-    G_UY,
+    G_UU,
+    G_UV,
     G_V,
-    G_VY,
+    G_VV,
     GRADIENT_SIZE,
     GREEN,
     L1,
@@ -93,7 +93,7 @@ def blend_backward_part(
                     block, blocks = lowest_block(blocks)
                     q = p[block * BLOCK_SIZE :]
                     for i in range(LANES):
-                        dx, dy, u, v, full = lane_alpha(q, i, centre_x, centre_y, l1, m, l2, log_opacity)
+                        _, _, u, v, full = lane_alpha(q, i, centre_x, centre_y, l1, m, l2, log_opacity)
                         a = full if full < alpha_max else alpha_max
                         a = a if a >= alpha_min else ZERO
                         a = a if q[LATEST + i] >= rank else ZERO
@@ -110,9 +110,9 @@ def blend_backward_part(
                         # lane by lane: a sum over the lanes of every block would cost more
                         sums[G_U * LANES + i] += hu
                         sums[G_V * LANES + i] += hv
-                        sums[G_UX * LANES + i] += hu * dx
-                        sums[G_UY * LANES + i] += hu * dy
-                        sums[G_VY * LANES + i] += hv * dy
+                        sums[G_UU * LANES + i] += hu * u
+                        sums[G_UV * LANES + i] += hu * v
+                        sums[G_VV * LANES + i] += hv * v
                         sums[G_POWER * LANES + i] += power
                         sums[G_RED * LANES + i] += w * g_r
                         sums[G_GREEN * LANES + i] += w * g_g

@@ -168,7 +168,7 @@ def shuffle(source: Any, target: Any) -> None:
 
 
 # Columns that only this pass has: the sums over pairs in their order, the splat's factor, and gradients.
-P_U, P_V, P_UX, P_UY, P_VY, P_POWER, P_COLOR, P_FAR = *range(COLUMNS, COLUMNS + 7), COLUMNS + 9
+P_U, P_V, P_UU, P_UV, P_VV, P_POWER, P_COLOR, P_FAR = *range(COLUMNS, COLUMNS + 7), COLUMNS + 9
 V_L1, V_M, V_L2 = range(COLUMNS + 10, COLUMNS + 13)
 G_W = COLUMNS + 13  # of the centre by way of the colour
 G_MX, G_MY = COLUMNS + 16, COLUMNS + 17
@@ -242,11 +242,9 @@ def unfactorize(dilation: float, antialiased: bool, v: Any) -> None:
             b,
             c0 + dilation,
             det,
-            v[V_L1, k],
-            v[V_L2, k],
-            -v[P_UX, k],
-            -v[P_UY, k],
-            -v[P_VY, k],
+            v[P_UU, k],
+            v[P_UV, k],
+            v[P_VV, k],
         )
     if antialiased:
         for k in range(PART):

@@ -124,19 +124,17 @@ def ray_of(x: float, y: float, z: float, camera: Any) -> tuple[float, float, flo
 
 @inline
 def factor_gradient(
-    a: float, b: float, c: float, det: float, l1: float, l2: float, g_l1: float, g_m: float, g_l2: float
+    a: float, b: float, c: float, det: float, uu: float, uv: float, vv: float
 ) -> tuple[float, float, float]:
-    """Returns the gradient of the dilated covariance entries a, b, c from that of its factor.
+    """Returns the gradient of the dilated covariance entries a, b, c; det = a c - b^2.
 
-    l1 = sqrt(c / det), m = -b / sqrt(c det), l2 = 1 / sqrt(c), det = a c - b^2. As stored, l1 and l2 are rounded
-    to single precision; they scale whole sums, so nothing that cancels is touched by it.
+    (uu, uv, vv) are the sums over pixels of u u, u v and v v, times the gradient of the exponent -(u u + v v) / 2. With
+    (u, v) = L d, L = [[l1, m], [0, l2]], the exponent's derivative is half of w^T dS w with w = L^T (u, v). Moments of
+    the offsets d would cancel along a needle; those of (u, v), which are about 1, do not.
     """
-    scale = l1 * l2  # 1 / sqrt(det)
-    scale *= scale * scale * l2  # det^-3/2 c^-1/2
-    g_a = -0.5 * c * scale * (g_l1 * c - g_m * b)
-    g_b = scale * c * (g_l1 * b - g_m * a)
-    g_c = scale * b * (g_l1 * c * b - g_m * (det + a * c)) + g_l2 * l2
-    return g_a, g_b, -0.5 * l2 * l2 * g_c
+    cross = uv / math.sqrt(det)
+    g_b = cross - b * uu / det
+    return 0.5 * c * uu / det, g_b, 0.5 * (b * b * uu / det + vv) / c - b * cross / c
 
 
 @inline

@@ -45,7 +45,7 @@ INVERSE_L1 = 15
 SPLAT_SIZE = 16
 
 # Columns of the gradient that blending leaves for each (splat, tile) pair.
-G_U, G_V, G_UX, G_UY, G_VY, G_POWER, G_RED, G_GREEN, G_BLUE, G_DEPTH = range(10)
+G_U, G_V, G_UU, G_UV, G_VV, G_POWER, G_RED, G_GREEN, G_BLUE, G_DEPTH = range(10)
 GRADIENT_SIZE = 10
 
 # The working values of a tile lie in one array, block after block, and those of a block plane after plane of

@@ -63,10 +63,10 @@ from occfusion.splat.backends.numba.layout import (
     G_POWER,
     G_RED,
     G_U,
-    G_UX,
-    G_UY,
+    G_UU,
+    G_UV,
     G_V,
-    G_VY,
+    G_VV,
     GREEN,
     HALF_HEIGHT,
     INVERSE_L1,
@@ -89,20 +89,20 @@ from occfusion.splat.limits import COMPENSATION_FLOOR
 @inline
 def sum_pairs(pair_slots: Any, first: int, end: int) -> tuple[float, ...]:
     """Returns the ten sums of a splat's gradients over tiles, in the order of the columns, in float64."""
-    u = v = ux = uy = vy = power = red = green = blue = depth = 0.0
+    u = v = uu = uv = vv = power = red = green = blue = depth = 0.0
     for slot in range(first, end):
         row = pair_slots[slot]
         u += row[G_U]
         v += row[G_V]
-        ux += row[G_UX]
-        uy += row[G_UY]
-        vy += row[G_VY]
+        uu += row[G_UU]
+        uv += row[G_UV]
+        vv += row[G_VV]
         power += row[G_POWER]
         red += row[G_RED]
         green += row[G_GREEN]
         blue += row[G_BLUE]
         depth += row[G_DEPTH]
-    return u, v, ux, uy, vy, power, red, green, blue, depth
+    return u, v, uu, uv, vv, power, red, green, blue, depth
 
 
 # Columns that only this pass has.

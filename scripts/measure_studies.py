@@ -1,0 +1,185 @@
+"""Studies on held-out synthetic people: a row a run in a CSV, and the table of the page made from it.
+
+python scripts/measure_studies.py ablation WORK           # runs what docs/results/ablation.csv lacks
+python scripts/measure_studies.py turning WORK --page     # and nothing more than the page from it
+
+Rows that stand are kept, so it may be stopped at any time and goes on where it was. Masks and optimisations that
+runs of a study have in common are computed once, in WORK/shared; seconds are of the stages that a row ran itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+
+from occfusion.files.table import read_table, write_table
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs/results"
+BEGUN, ENDED = "<!-- measured -->", "<!-- /measured -->"
+FIGURES = (
+    "psnr",
+    "ssim",
+    "lpips",
+    "mask_iou",
+    "spill",
+    "unseen_psnr",
+    "unseen_lpips",
+    "hidden_psnr",
+    "hidden_lpips",
+)
+Row = dict[str, object]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is run and how it is told.
+
+    Attributes:
+        about: the page's text above the table.
+        size: of the pictures, pixels.
+        keys: columns that name a row; `scene` is the first.
+        rows: yields values of the keys and the overrides that make the run.
+        group: from a row, what stands in the first columns of the page; rows of one group are averaged.
+        heads: titles of those columns.
+        cells: titles and formats of figures; several figures in one cell.
+    """
+
+    about: str
+    size: int
+    keys: tuple[str, ...]
+    rows: Callable[[], Iterator[tuple[tuple[str, ...], tuple[str, ...]]]]
+    group: Callable[[dict[str, str]], tuple[str, ...]]
+    heads: tuple[str, ...]
+    cells: dict[str, str]
+
+
+def level(row: dict[str, str]) -> str:
+    return row["scene"].split("-")[1]
+
+
+def variants() -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
+    names = ("gauhuman", "A", "B", "C", "D", "E")
+    for recipe, subject, poses, name in itertools.product(
+        ("ours", "paper"), (103, 104, 105), ("clean", "hard"), names
+    ):
+        yield (f"{subject}-{poses}", recipe, name), (f"recipe={recipe}", f"variant={name}")
+
+
+def turning() -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
+    for subject, poses, turn in itertools.product(range(103, 109), ("clean", "hard"), ("", "-front")):
+        yield (f"{subject}-{poses}{turn}",), ("variant=E",)
+
+
+def trial() -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Of the paper's priors on people who do not turn: distillation and inpainting, on and off, nothing left out."""
+    for subject, poses, name in itertools.product((103, 104, 105), ("clean", "hard"), ("B", "C", "D", "E")):
+        yield (f"{subject}-{poses}-front", name), (f"variant={name}", "plan=full")
+
+
+FULL = {"PSNR": "{psnr:.2f}", "ST-LPIPS x1000": "{lpips:.1f}", "mask IoU": "{mask_iou:.3f}"}
+HIDDEN = {"hidden parts": "{hidden_psnr:.2f} / {hidden_lpips:.1f}"}
+UNSEEN = {"in no frame": "{unseen_psnr:.2f} / {unseen_lpips:.1f}"}
+SECONDS = {"seconds": "{seconds:.0f}"}
+STUDIES = {
+    "ablation": Study(
+        "# What each stage brings, with both recipes", 128, ("scene", "recipe", "variant"), variants,
+        lambda row: (level(row), f"`{row['recipe']}`", f"`{row['variant']}`"),
+        ("poses", "recipe", "variant"), FULL | HIDDEN | SECONDS,
+    ),
+    "turning": Study(
+        "# A person who does not turn, beside the same person turning", 256, ("scene",), turning,
+        lambda row: (level(row), "faces the camera" if "front" in row["scene"] else "turns"),
+        ("poses", "person"), FULL | {"spill, %": "{spill:.1%}"} | UNSEEN | SECONDS,
+    ),
+    "trial": Study(
+        "# The paper's priors on people who do not turn", 128, ("scene", "variant"), trial,
+        lambda row: (level(row), f"`{row['variant']}`"),
+        ("poses", "variant"), FULL | HIDDEN | UNSEEN | SECONDS,
+    ),
+}  # fmt: skip
+
+
+def measure(work: Path, size: int, scene: str, name: str, overrides: Sequence[str]) -> Row:
+    """Returns the figures of a run made for them.
+
+    Raises:
+        CalledProcessError: the run failed.
+    """
+    data, folder = work / f"scenes-{size}", work / "runs" / name
+    if not (data / scene).is_dir():
+        made = ["synth", str(data), "--scene", scene, "--size", str(size), "--cameras", "8"]
+        subprocess.run([sys.executable, "-m", "occfusion", *made], check=True)
+    options = (
+        "dataset=zju", f"dataset.root={data}", f"dataset.scene={scene}", f"dataset.image_size={size}",
+        "body=smpl", f"body.path={data / scene / 'body.npz'}", f"output_dir={folder}", f"shared_dir={work / 'shared'}",
+        "trainer.enable_progress_bar=false", "evaluation.perceptual_every=4", "evaluation.pictures=false",
+    )  # fmt: skip
+    subprocess.run([sys.executable, "train.py", *options, *overrides], check=True, cwd=ROOT)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    full, hidden, unseen = (metrics["regions"][region] for region in ("full", "hidden", "unseen"))
+    revision = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True, cwd=ROOT
+    ).stdout.strip()
+    return {
+        **{key: full[key] for key in FIGURES[:5]},
+        "unseen_psnr": unseen["psnr"], "unseen_lpips": unseen["lpips"],
+        "hidden_psnr": hidden["psnr"], "hidden_lpips": hidden["lpips"],
+        "seconds": metrics["train_seconds"]["total"], "revision": revision,
+    }  # fmt: skip
+
+
+def page(study: Study, rows: Sequence[dict[str, str]]) -> str:
+    """Returns the table: means over subjects, and of how many."""
+    groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for row in rows:
+        groups.setdefault(study.group(row), []).append(row)
+    heads = [*study.heads, *study.cells, "subjects"]
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for group, own in groups.items():
+        values = {key: [float(row[key]) for row in own if row[key]] for key in (*FIGURES, "seconds")}
+        means = {key: fmean(some) if some else float("nan") for key, some in values.items()}
+        cells = (cell.format(**means) for cell in study.cells.values())
+        lines.append(f"| {' | '.join((*group, *cells, str(len(own))))} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("study", choices=STUDIES)
+    parser.add_argument("work", type=Path, help="folder for scenes and runs")
+    parser.add_argument(
+        "--page", action="store_true", help="write the page of the rows that stand; run nothing"
+    )
+    arguments = parser.parse_args()
+    study, table = STUDIES[arguments.study], RESULTS / f"{arguments.study}.csv"
+    rows: list[Row] = [dict(row) for row in read_table(table)]
+    if not arguments.page:
+        done = {tuple(row[key] for key in study.keys) for row in rows}
+        for names, overrides in study.rows():
+            if names not in done:
+                figures = measure(
+                    arguments.work.resolve(),
+                    study.size,
+                    names[0],
+                    "-".join((arguments.study, *names)),
+                    overrides,
+                )
+                rows.append({**dict(zip(study.keys, names, strict=True)), **figures})
+                write_table(table, (*study.keys, *FIGURES, "seconds", "revision"), rows)
+    file = RESULTS / f"{arguments.study}.md"
+    text = file.read_text() if file.is_file() else f"{study.about}\n\n{BEGUN}\n{ENDED}\n"
+    before, _, rest = text.partition(BEGUN)
+    _, _, after = rest.partition(ENDED)
+    file.write_text(f"{before}{BEGUN}\n{page(study, read_table(table))}\n{ENDED}{after}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""`python -m occfusion stability`: sweeps stiff and extreme cases; exits with 1 where one exceeds its bound."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import torch
+
+from occfusion.errors import ConfigError
+from occfusion.run.environment import describe_environment
+from occfusion.stability.axes import Row, sweep
+from occfusion.stability.motion import motion_axes
+from occfusion.stability.page import summary, write_sweep
+from occfusion.stability.pictures import picture_axes
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of the verb."""
+    parser.add_argument(
+        "--output", type=Path, default=Path("runs/stability"), metavar="DIR", help="(%(default)s)"
+    )
+    parser.add_argument("--quick", action="store_true", help="a few places of each axis, less than a minute")
+    parser.add_argument(
+        "--axes", nargs="+", metavar="WORD", help="those with one of these words in their name (all)"
+    )
+    parser.add_argument(
+        "--device", choices=("cpu", "cuda"), default="cpu", help="of the rasteriser (%(default)s)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Sweeps and writes; returns the exit code."""
+    if args.device == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(
+            "--device cuda: torch finds no CUDA device; leave the option out to sweep on the CPU"
+        )
+    known = [*motion_axes(), *picture_axes(torch.device(args.device))]
+    axes = [axis for axis in known if args.axes is None or any(word in axis.name for word in args.axes)]
+    if not axes:
+        raise ConfigError(f"--axes {' '.join(args.axes)}: there are {'; '.join(axis.name for axis in known)}")
+    rows: list[Row] = []
+    for axis in axes:
+        started = time.monotonic()
+        found = sweep(axis, quick=args.quick)
+        rows += found
+        seconds = time.monotonic() - started
+        print(
+            f"{axis.name}: {summary(found)} ({seconds:.1f} s)".replace(" on 1 axes", ""),
+            file=sys.stderr,
+            flush=True,
+        )
+    write_sweep(args.output, rows, describe_environment())
+    for row in rows:
+        if row.verdict != "holds":
+            print(
+                f"{row.axis} at {row.place:g}, {row.method}: {row.verdict} ({row.error}, {row.gradient_error})"
+            )
+    print(f"{summary(rows)}; written to {args.output}")
+    return int(any(row.verdict != "holds" for row in rows))

@@ -1,0 +1,57 @@
+"""`python -m occfusion view RUN...`: a page in the browser to turn and move avatars, also while they are trained."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import webbrowser
+from pathlib import Path
+
+from occfusion.errors import ConfigError
+from occfusion.viewer.room import furnish
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of the verb."""
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folders to choose from")
+    parser.add_argument(
+        "--motion",
+        default="sequence",
+        help="sequence, an embedded clip, another run, or a file; others on the page",
+    )
+    parser.add_argument("--port", type=int, default=8080, help="of the page; the next free one is taken")
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="0.0.0.0 lets other machines in. Default: this one alone"
+    )
+    parser.add_argument("--browser", action="store_true", help="open the page in a browser")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serves until it is interrupted; returns the exit code."""
+    try:
+        import viser
+    except ImportError:
+        raise ConfigError(
+            "view needs viser, which is not installed: pip install 'occfusion[view]', in a clone pip install '.[view]'"
+        ) from None
+    if not 1 <= arguments.port <= 65535:
+        raise ConfigError(f"--port {arguments.port}: 1 to 65535")
+    try:
+        server = viser.ViserServer(arguments.host, arguments.port, label="occfusion", verbose=False)
+    except OSError as error:
+        raise ConfigError(f"--host {arguments.host} --port {arguments.port}: {error}; name others") from error
+    furnish(server)
+    address = f"http://{arguments.host}:{server.get_port()}"
+    print(f"{address}  (Ctrl-C ends)", flush=True)
+    if arguments.browser:
+        webbrowser.open(address)
+    try:
+        from occfusion.viewer.page import Page, names_of  # takes seconds, in which the browser gets the page
+
+        page = Page(server, names_of(arguments.runs), arguments.motion)
+        if page.figure.run.remark:
+            print(page.figure.run.remark, file=sys.stderr)
+        page.run()
+    finally:
+        server.stop()
+    return 0

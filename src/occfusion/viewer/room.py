@@ -1,0 +1,31 @@
+"""The empty page of `view`: whoever opens it before the avatar is read sees a floor from the right place."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+UNITS = 10.0
+"""Of the scene in a metre: viser keeps covariances in half precision, which square millimetres are too small for."""
+EYE = (0.0, 1.1, 3.2)
+"""Where visitors' cameras begin, upright frame, metres."""
+_TARGET = (0.0, 0.95, 0.0)
+_FIELD_OF_VIEW = math.radians(40)
+
+
+def furnish(server: ViserServer) -> None:
+    """Puts up the floor and the camera."""
+    server.gui.configure_theme(dark_mode=True, show_share_button=False)
+    server.scene.set_up_direction("+y")
+    server.scene.add_grid("/floor", width=4 * UNITS, height=4 * UNITS, plane="xz", cell_size=0.25 * UNITS)
+    camera = server.initial_camera
+    camera.up, camera.fov = (0.0, 1.0, 0.0), _FIELD_OF_VIEW
+    camera.look_at, camera.position = (_scaled(place) for place in (_TARGET, EYE))
+
+
+def _scaled(place: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = place
+    return UNITS * x, UNITS * y, UNITS * z

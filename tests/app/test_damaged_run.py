@@ -1,0 +1,134 @@
+"""A run folder knows its own: what is damaged in it is made again, and said; nothing damaged is taken over."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from app.conftest import run_tiny
+from app.test_init import CountingPrior, Make, run
+from app.test_init import body as body
+from app.test_init import data as data
+from app.test_init import make as make
+from app.test_init import observed_frames as observed_frames
+from occfusion.data.zju.zju_data import ZjuDataModule
+from occfusion.errors import CheckpointError
+from occfusion.files.run_folder import RunFolder
+from occfusion.run.app import check_checkpoints
+from occfusion.stages.base import Stage
+from occfusion.stages.checkpointing import read_checkpoint, resumable
+
+OPTIONS = (
+    "variant=E", "optim.steps=3", "refine.steps=2", "trainer.checkpoint_every=2", "evaluation.pictures=false",
+    "optim.sds.lambda_pose=0", "optim.sds.lambda_can=0", "init.source=truth", "refine.references.source=truth",
+)  # fmt: skip
+
+
+def change(path: Path) -> None:
+    """Changes four bytes in the middle, in place: also in every file that is linked to it."""
+    with path.open("r+b") as file:
+        file.seek(path.stat().st_size // 2)
+        four = file.read(4)
+        file.seek(-4, 1)
+        file.write(bytes(255 - byte for byte in four))
+
+
+@pytest.fixture(scope="module")
+def finished(scene_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run_tiny(scene_root, tmp_path_factory.mktemp("finished") / "run", *OPTIONS)[0]
+
+
+@pytest.mark.slow
+def test_whatever_is_damaged_is_made_again_and_said(
+    scene_root: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(finished.parent, tmp_path, dirs_exist_ok=True)
+    whole = {name: load_file(finished / name / "avatar.safetensors") for name in ("optim", "refine")}
+    pictures = {
+        path: path.read_bytes()
+        for path in [*folder.masks.path.rglob("*.png"), *folder.inpainted.path.rglob("*.png")]
+    }
+    assert pictures
+    change(folder.masks.picture(0))
+    change(next(folder.masks.path.parent.parent.glob(".shared/init/*/results/000000.png")))
+    folder.masks.picture(3).write_bytes(folder.masks.picture(2).read_bytes())
+    (inpainted,) = sorted(folder.inpainted.path.glob("*.png"))[:1]
+    inpainted.write_bytes(inpainted.read_bytes()[:100])
+    change(folder.stage("optim").avatar)
+    change(next(folder.path.parent.glob(".shared/optim/*/results/avatar.safetensors")))
+    folder.stage("refine").avatar.unlink()
+    change(folder.stage("optim").checkpoint)
+    folder.stage("init").record.write_text("garbage")
+    folder.curve.write_text("garbage\n1\n")
+    run_tiny(scene_root, folder.path, *OPTIONS)
+    said = capsys.readouterr().out
+    for words in ("what it needs is made again", "init: 2 pictures", "inpaint: 1 pictures", "checksum of",
+                  "continues from", "optim: ", "refine: "):  # fmt: skip
+        assert words in said, said
+    for path, content in pictures.items():
+        assert path.read_bytes() == content, path
+    for name, tensors in whole.items():
+        found = load_file(folder.stage(name).avatar)
+        assert all(torch.equal(found[key], value) for key, value in tensors.items()), name
+
+
+def test_the_newest_whole_checkpoint_is_taken(
+    short_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = RunFolder(tmp_path).stage("optim")
+    shutil.copytree(short_run / "optim", own.path)
+    shutil.copyfile(own.checkpoint, own.earlier_checkpoint)
+    content = read_checkpoint(own.checkpoint)
+
+    class Known(Stage):
+        name = "optim"
+
+        def state_dict(self, *_: Any, **__: Any) -> Any:
+            return content["state_dict"]
+
+    assert resumable(own.checkpoint, Known()) == own.checkpoint
+    for wrong in ({}, [1], {"state_dict": {}}, {**content, "state_dict": {}}):
+        torch.save(wrong, own.checkpoint)
+        assert resumable(own.checkpoint, Known()) == own.earlier_checkpoint
+        assert "continues from" in capsys.readouterr().out
+    own.checkpoint.unlink()  # killed between the two renames
+    assert resumable(own.checkpoint, Known()) == own.earlier_checkpoint
+    own.checkpoint.write_bytes(b"")
+    own.earlier_checkpoint.write_bytes(own.earlier_checkpoint.read_bytes()[:-100])
+    with pytest.raises(CheckpointError, match=r"last\.ckpt is damaged.*previous\.ckpt is damaged.*remove"):
+        resumable(own.checkpoint, Known())
+    own.record.unlink()
+    with pytest.raises(CheckpointError, match=r"remove .*optim to start"):
+        check_checkpoints(RunFolder(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "content", ["", "garbage", "[]", "{}", '{"identity": 1}', '{"identity": null, "frames": 3}']
+)
+def test_a_manifest_that_is_none_is_begun_anew(
+    make: Make, data: ZjuDataModule, content: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stage = make(CountingPrior(), smoothing=0.0)
+    stage.folder.path.mkdir(parents=True)
+    stage.folder.manifest.write_text(content)
+    assert len(make(CountingPrior(), smoothing=0.0).wanted) == len(stage.observed_frames)
+    assert not content or content.startswith('{"identity": ') or "damaged" in capsys.readouterr().out
+
+
+def test_a_changed_picture_is_seen(
+    make: Make, data: ZjuDataModule, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stage = make(CountingPrior(), smoothing=0.0)
+    run(stage, data)
+    change(stage.folder.picture(4))
+    uncertainty = next((stage.folder.path / stage.folder.second).glob("*.png"))
+    change(uncertainty)
+    again = make(CountingPrior(), smoothing=0.0)
+    assert {again.observed_frames[k].index for k in again.wanted} == {4, int(uncertainty.stem)}
+    assert "not as they were left" in capsys.readouterr().out

@@ -1,0 +1,59 @@
+"""A signal after a stage's last step: the stage hands over what it made, then the command stops."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.test_init import CountingPrior, Make
+from app.test_init import body as body
+from app.test_init import data as data
+from app.test_init import make as make
+from app.test_init import observed_frames as observed_frames
+from occfusion.data.zju.zju_data import ZjuDataModule
+from occfusion.run.folder import RunFolder
+from occfusion.stages.checkpointing import Checkpointing
+from occfusion.stages.init import InitStage
+from occfusion.stages.interruption import Interrupted
+
+
+def test_after_the_last_step_of_training(
+    train: Callable[..., tuple[Path, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    original = Checkpointing.on_train_end
+
+    def late(self: Checkpointing, *rest: Any) -> None:
+        original(self, *rest)
+        signal.raise_signal(signal.SIGINT)
+
+    light = ("stage=optim", "optim.steps=1", "evaluation.curve=false", "evaluation.held_out=false")
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpointing, "on_train_end", late)
+        with pytest.raises(Interrupted, match="the same command continues") as stopped:
+            train(*light)
+    assert stopped.value.exit_code == 130
+    left = RunFolder(tmp_path / "run").stage("optim")
+    assert left.has_avatar and json.loads(left.record.read_text())["steps"] == 1
+    assert not RunFolder(tmp_path / "run").metrics.exists()
+
+
+def test_with_the_last_frame(make: Make, data: ZjuDataModule, monkeypatch: pytest.MonkeyPatch) -> None:
+    stage = make(CountingPrior(), smoothing=0.0)
+    original = InitStage.predict_step
+
+    def last(self: InitStage, *arguments: Any) -> Any:
+        record = original(self, *arguments)
+        if not self.wanted:
+            signal.raise_signal(signal.SIGTERM)
+        return record
+
+    monkeypatch.setattr(InitStage, "predict_step", last)
+    with pytest.raises(Interrupted) as stopped:
+        stage.treat(lambda k: data.train_frame(k, truth=False), stage.wanted, progress=False)
+    assert stopped.value.exit_code == 143 and stage.wanted == []
+    assert make(CountingPrior(), smoothing=0.0).wanted == []

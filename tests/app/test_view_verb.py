@@ -1,0 +1,126 @@
+"""`view`: what is shown of a run, and the page that viser serves, without a browser."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+import torch
+
+from occfusion.__main__ import main
+from occfusion.export.mesh import JOINTS
+from occfusion.files.run_folder import RunFolder
+from occfusion.human.rendering import Renderer
+from occfusion.run.loaded import load_run
+from occfusion.run.showing import MotionChoice, make_showing
+from occfusion.viewer.figure import Figure
+from occfusion.viewer.room import UNITS, furnish
+
+EYE = np.array([0.3, 1.0, 3.0])
+STILL = np.zeros((24, 3))
+
+
+@pytest.fixture(scope="module")
+def figure(short_run: Path) -> Figure:
+    return Figure(short_run, motion="squat")
+
+
+def test_gaussians_are_those_of_rendered_pictures(short_run: Path, figure: Figure) -> None:
+    showing = make_showing(
+        load_run(short_run),
+        "turntable",
+        MotionChoice("squat"),
+        size=(64, 64),
+        frames=96,
+        renderer=Renderer("auto"),
+    )
+    shot = next(shot for shot in showing.shots if shot.row == 40)
+    upright = showing.painter.performance.upright
+    eye = upright[:3, :3] @ shot.camera.centre + upright[:3, 3]
+    cloud, splats = showing.painter.cloud(shot), figure.splats(40, STILL, eye.numpy())
+    assert np.allclose(splats.means, cloud.means @ upright[:3, :3].T + upright[:3, 3], atol=1e-5)
+    assert np.allclose(splats.colors, cloud.colors.clamp(0, 1), atol=1e-4)
+    quats, scales = splats.ellipsoids()
+    w, x, y, z = quats.T.astype(np.float64)
+    first = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
+    assert np.allclose(
+        np.einsum("nij,nj->ni", splats.covariances, first), scales[:, :1] ** 2 * first, atol=1e-7
+    )
+
+
+def test_a_turned_joint_moves_what_hangs_on_it(figure: Figure) -> None:
+    turns = STILL.copy()
+    turns[JOINTS.index("left_elbow"), 1] = 1.0
+    moved = np.linalg.norm(figure.splats(0, turns, EYE).means - figure.splats(0, STILL, EYE).means, axis=1)
+    avatar = figure.run.avatar
+    strongest = avatar.body.weights[avatar.gaussians.vertex_index].argmax(dim=1).numpy()
+    assert moved[strongest == JOINTS.index("left_wrist")].min() > 0.1
+    assert (
+        moved[np.isin(strongest, [JOINTS.index(name) for name in ("head", "right_elbow", "left_knee")])].max()
+        < 1e-3
+    )
+
+
+def test_a_newer_file_is_taken(short_run: Path, tmp_path: Path) -> None:
+    shutil.copytree(short_run, tmp_path / "run")
+    figure = Figure(tmp_path / "run")
+    assert not figure.reload() and "done" in figure.label
+    os.utime(RunFolder(tmp_path / "run").stage("optim").avatar, ns=(1, 1))
+    assert figure.reload() and not figure.reload()
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    viser = pytest.importorskip("viser", reason="serves the page")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    made = viser.ViserServer("127.0.0.1", port, verbose=False)
+    furnish(made)
+    yield made
+    made.stop()
+
+
+def test_the_page_shows_plays_and_switches(short_run: Path, server: Any) -> None:
+    from occfusion.viewer.page import Page
+
+    page = Page(server, {"a run": short_run}, "squat")
+    assert urlopen(f"http://127.0.0.1:{server.get_port()}/").status == 200
+    page.playing.value = False
+    assert page.step() and not page.step()  # nothing is sent twice
+    sent = server.scene.get_handle_by_name("/splats")
+    expected = page.figure.splats(0, STILL, page._eye)
+    assert np.allclose(sent.centers / UNITS, expected.means, atol=1e-5)
+    assert (
+        np.abs(sent.covariances / UNITS**2 - expected.covariances).max() < 1e-3 * expected.covariances.max()
+    )
+    page.angles[0].value, page.joint.value = 60.0, "left_shoulder"
+    page._turn(0)
+    assert page.step() and np.abs(sent.centers / UNITS - expected.means).max() > 0.05
+    page._straighten()
+    page.look.value, page.with_input.value, page.kind.value = "ellipsoids", True, "difference"
+    page._due()
+    assert page.step() and not sent.visible
+    assert len(server.scene.get_handle_by_name("/ellipsoids").batched_positions) == len(expected.means)
+    camera, view = server.scene.get_handle_by_name("/camera"), page.figure.run.views("train")[0].camera
+    place = page.figure.own.upright @ torch.cat([view.centre, torch.ones(1)])
+    assert np.allclose(camera.position, place[:3] * UNITS, atol=1e-3)
+    assert camera.image.shape == (view.height, view.width, 3) and camera.image.mean() < 60
+    page.motion.value = "walk"
+    page._change_motion()
+    assert page.step() and page.frame.max == len(page.figure.performance) - 1
+
+
+def test_without_viser_one_message_says_what_to_type(
+    short_run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "viser", None)
+    assert main(["view", str(short_run)]) == 1
+    assert "pip install 'occfusion[view]'" in capsys.readouterr().err

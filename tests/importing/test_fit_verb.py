@@ -1,0 +1,86 @@
+"""`fit` from files alone: key points, masks and a camera in, poses, figures and an overlay out."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from occfusion.__main__ import main
+from occfusion.files.atomic import write_png
+from occfusion.files.jsonfile import load_json
+from occfusion.fitting.anchors import landmark_places
+from occfusion.fitting.batch import BodyBatch, rotations_of
+from occfusion.fitting.quality import silhouette
+from occfusion.footage.landmarks import INDEX
+from occfusion.human import embedded_body
+from occfusion.importing.keypoints import COCO
+from occfusion.synth.motion import make_take
+
+FRAMES, WIDTH, HEIGHT, FOCAL = 8, 96, 128, 150.0
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory):
+    """Returns a folder as other tools leave it, `coco.json` beside it, and the true joints."""
+    folder = tmp_path_factory.mktemp("given")
+    take = make_take(60, np.zeros(10), False, np.random.default_rng(3), turn=40.0)
+    poses = torch.tensor(take.poses[:FRAMES], dtype=torch.float32)
+    body = embedded_body()
+    batch = BodyBatch(body, np.arange(len(body.v_template)))
+    rotations = rotations_of(poses[:, :3], poses[:, 3:])
+    rotations[:, 0] = torch.diag(torch.tensor([1.0, -1.0, -1.0])) @ rotations[:, 0]
+    betas, transl = torch.zeros(10), torch.tensor([[0.0, 0.0, 3.0]]).repeat(FRAMES, 1)
+    turns, places = batch.transforms(betas, rotations, transl)
+    vertices = batch.points(betas, turns, places).double().numpy()
+    marks = landmark_places(turns, places).double().numpy()
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    pixels = marks[..., :2] / marks[..., 2:] * FOCAL + K[:2, 2] - 0.5
+    rows = [
+        {
+            "image_id": f"{k:06d}.png",
+            "keypoints": [v for name in COCO for v in (*pixels[k, INDEX[name]], 0.9)],
+        }
+        for k in range(FRAMES)
+    ]
+    (folder / "coco.json").write_text(json.dumps(rows))
+    for k in range(FRAMES):
+        shown = silhouette(vertices[k], K, body.faces.numpy(), (HEIGHT, WIDTH))
+        write_png(
+            folder / "clip" / "images" / f"{k:06d}.png", np.repeat(np.uint8(200) * shown[..., None], 3, 2)
+        )
+        write_png(folder / "clip" / "masks" / f"{k:06d}.png", shown)
+    np.savez(folder / "clip" / "cameras.npz", intrinsic=K, extrinsic=np.eye(4), width=WIDTH, height=HEIGHT)
+    return folder, places.double().numpy()
+
+
+@pytest.mark.slow
+def test_a_folder_without_bodies_gets_them(given, monkeypatch, capsys):
+    folder, truth = given
+    monkeypatch.setitem(__import__("sys").modules, "ai_edge_litert", None)  # nothing has to be looked for
+    words = ["fit", str(folder / "clip"), "--keypoints", str(folder / "coco.json")]
+    assert main(words) == 0
+    assert "verdict            trusted" in capsys.readouterr().out
+    report = load_json(folder / "clip" / "fit.json")
+    assert report["median_mask_iou"] > 0.85 and report["median_reprojection_percent_of_height"] < 1.0
+    assert report["doubtful_frames"] == [] and (folder / "clip" / "overlay.mp4").stat().st_size > 1000
+    found = np.load(folder / "clip" / "poses.npz")
+    body = embedded_body()
+    for k in range(FRAMES):
+        rows = (found["betas"], *(found[key][k] for key in ("global_orient", "body_pose", "transl")))
+        _, joints = body(*(torch.tensor(row, dtype=torch.float32) for row in rows))
+        a, b = joints.numpy() - joints.numpy()[0], truth[k] - truth[k, 0]
+        assert np.linalg.norm(a - b, axis=1).mean() < 0.09
+    assert main(["check", str(folder / "clip"), "--layout", "video"]) == 0
+
+
+def test_poses_that_are_not_of_a_fit_are_left_alone(given, tmp_path, capsys):
+    folder, _ = given
+    (tmp_path / "poses.npz").write_bytes(b"mine")
+    words = ["fit", "--keypoints", str(folder / "coco.json"), "--masks", str(folder / "clip" / "masks")]
+    assert main([*words, "--output", str(tmp_path)]) == 1
+    assert "is there already" in capsys.readouterr().err
+    assert main(words) == 1
+    assert "--output" in capsys.readouterr().err
