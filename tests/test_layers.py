@@ -188,6 +188,28 @@ def test_no_module_is_part_of_a_cycle():
         visit(name, ())
 
 
+@pytest.mark.parametrize("verb", ["cli.render", "cli.export", "cli.view", "viewer.page"])
+def test_what_shows_an_avatar_waits_for_no_trainer(verb):
+    """Lightning takes as long to import as everything else together, and a picture of an avatar needs none of it."""
+    found: dict[str, str] = {}  # module -> who imports it first
+    due = [(f"occfusion.{verb}", "")]
+    while due:
+        name, origin = due.pop()
+        parts = name.split(".")
+        file = PACKAGE.joinpath(*parts[1:])
+        path = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+        if name in found or not path.is_file():
+            continue
+        found[name] = origin
+        due += [(".".join(parts[:k]), name) for k in range(1, len(parts))]
+        for line, other in imports(path, top_level=True):
+            assert other.split(".")[0] not in ("lightning", "torchmetrics", "kornia"), (
+                f"{path}:{line} imports {other}, and {origin} imports {name}"
+            )
+            due.append((other, name))
+    assert "occfusion.errors" in found
+
+
 def test_a_file_is_no_longer_than_a_person_reads():
     for path in modules():
         lines = len(path.read_text(encoding="utf-8").splitlines())

@@ -18,10 +18,11 @@ from app.test_init import make as make
 from app.test_init import observed_frames as observed_frames
 from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import CheckpointError
+from occfusion.files.checkpoint import read_checkpoint
 from occfusion.files.run_folder import RunFolder
 from occfusion.run.app import check_checkpoints
 from occfusion.stages.base import Stage
-from occfusion.stages.checkpointing import read_checkpoint, resumable
+from occfusion.stages.checkpointing import resumable
 
 OPTIONS = (
     "variant=E", "optim.steps=3", "refine.steps=2", "trainer.checkpoint_every=2", "evaluation.pictures=false",

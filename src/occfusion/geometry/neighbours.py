@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from scipy.spatial import KDTree
 from torch import Tensor
 
 _BLOCK_ELEMENTS = 4_000_000
@@ -43,6 +42,8 @@ def nearest(points: Tensor, references: Tensor, k: int = 1) -> Neighbours:
 
 def by_tree(points: Tensor, references: Tensor, k: int) -> Neighbours:
     """Returns what `nearest` does, by a k-d tree in float64 on the CPU."""
+    from scipy.spatial import KDTree  # a third of a second, which whoever only draws an avatar need not wait
+
     tree = KDTree(references.double().numpy())
     # a list of numbers of neighbours keeps their axis where there is but one
     distances, indices = tree.query(points.double().numpy(), k=list(range(1, k + 1)))

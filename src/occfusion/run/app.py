@@ -10,6 +10,7 @@ import lightning as L
 from omegaconf import DictConfig
 
 from occfusion.cpu.processes import is_helper
+from occfusion.files.checkpoint import newest_whole
 from occfusion.files.run_folder import STAGES, RunFolder
 from occfusion.human import write_gaussians_ply
 from occfusion.report.page import write_report
@@ -21,7 +22,6 @@ from occfusion.run.machine import check_machine
 from occfusion.run.prepare import Run, build, claim, decide, observe
 from occfusion.run.prior import run_prior_training
 from occfusion.settings.schema import PRIOR_STAGE, load_settings, stages_to_run
-from occfusion.stages.checkpointing import newest_whole
 from occfusion.stages.loggers import check_logger
 from occfusion.types import Frame, Rendering
 

@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 from torch import Tensor
 
 from occfusion.errors import CheckpointError
+from occfusion.files.checkpoint import read_checkpoint
 from occfusion.files.run_folder import STAGES, RunFolder
 from occfusion.human import Avatar, load_avatar
 from occfusion.human.avatar_file import make_avatar
@@ -20,7 +21,6 @@ from occfusion.run.sequence import ensure_sequence, read_run_clip, read_run_view
 from occfusion.settings.names import without_old_names
 from occfusion.settings.schema import Settings, load_settings
 from occfusion.show.views import TRAIN, View
-from occfusion.stages.checkpointing import read_checkpoint
 from occfusion.types import Camera
 
 _PREFIX = "avatar."
