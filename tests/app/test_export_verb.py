@@ -19,6 +19,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from occfusion.__main__ import main
+from occfusion.cli import export
+from occfusion.errors import DataError
 from occfusion.evaluation.pictures import to_uint8
 from occfusion.export.splats import turned_harmonics
 from occfusion.geometry.camera import project_vertices
@@ -183,6 +185,65 @@ def test_bad_words_are_one_message(run: Path, tmp_path: Path, capsys: pytest.Cap
     assert main(["export", str(run), "--output", str(tmp_path / "a.ply"), "--surface"]) == 1
     assert "--surface is for a .glb" in capsys.readouterr().err
     assert not list(tmp_path.glob("a.*"))
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "message"),
+    [
+        ("a.ply", ["--light", "45,30"], "--light: "),
+        ("a.spz", ["--motion", "walk"], "neither motion nor lamp"),
+        ("a.html", ["--light", "45,30"], "is in even light"),
+        ("a.html", ["--pose", "3"], "all frames of the motion"),
+        ("a.obj", ["--for-viewers", "512"], "files of Gaussians"),
+        ("a.glb", ["--surface", "--light", "even"], "is in even light"),
+    ],
+)
+def test_options_without_effect_are_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, words: list[str], message: str
+) -> None:
+    assert main(["export", str(run), "--output", str(tmp_path / name), *words]) == 1
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_say_which_light_they_have(run: Path, tmp_path: Path) -> None:
+    lamp = ["--motion", "squat", "--pose", "4", "--light", "45,30"]
+    for name, words, text in (
+        ("a.ply", lamp, "comment frame 4 of squat, a lamp 45 degrees"),
+        ("a.compressed.ply", lamp, "comment frame 4 of squat, a lamp 45 degrees"),
+        ("a.glb", lamp, '"about": "frame 4 of squat, a lamp 45 degrees'),
+        ("b.ply", [], "comment canonical pose, even light"),
+    ):
+        assert main(["export", str(run), "--output", str(tmp_path / name), *words]) == 0
+        assert text in (tmp_path / name).read_bytes()[:60_000].decode("latin-1")
+
+
+def test_a_folder_of_poses_is_whole_or_not_there(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "poses"
+    out.mkdir()
+    (out / "0007.ply").write_bytes(b"of an earlier call")
+    (out / "notes.ply").write_bytes(b"of the user")
+    words = ["export", str(run), "--output", str(out), "--motion", "squat"]
+    whole = export.posed_table
+
+    def fails_at_the_third(*arguments: Any) -> Any:
+        calls.append(None)
+        if len(calls) == 3:
+            raise DataError("the disk refuses")
+        return whole(*arguments)
+
+    calls: list[None] = []
+    monkeypatch.setattr(export, "posed_table", fails_at_the_third)
+    assert main([*words, "--fps", "3"]) == 1
+    assert "the disk refuses" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["0007.ply", "notes.ply", "poses"]
+    assert main([*words, "--fps", "1"]) == 0
+    names = sorted(path.name for path in out.iterdir())
+    count = len(names) - 1
+    assert 1 < count < 7 and names == [*(f"{row:04d}.ply" for row in range(count)), "notes.ply"]
+    assert read_by_gsply(out / "0001.ply")["means"].shape[1] == 3
 
 
 @pytest.mark.slow

@@ -63,6 +63,8 @@ def test_paths_motions_layers_and_formats(run: Path, tmp_path: Path) -> None:
         (["--background", "#12"], "six hexadecimal digits"),
         (["--light", "bright"], "AZIMUTH,HEIGHT"),
         (["--background", "transparent"], "no transparency"),
+        (["--motion", "other.npz"], "SMPL's skeleton"),
+        (["--motion", "nan.npz"], "row 2, body_pose holds NaN"),
         (["--path", "inside.json"], "within the body"),
     ],
 )
@@ -71,6 +73,10 @@ def test_bad_input_is_one_message_and_writes_nothing(
     words: list[str], message: str,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
+    np.savez("other.npz", joints=np.zeros((4, 17, 3)))
+    poses = np.zeros((4, 72))
+    poses[2, 5] = np.nan
+    np.savez("nan.npz", poses=poses, trans=np.zeros((4, 3)))
     if words[-1] == "inside.json":
         transl = torch.tensor(load_run(run).clip.transl[0])
         viewmat = torch.eye(4)
@@ -87,3 +93,9 @@ def test_bad_input_is_one_message_and_writes_nothing(
     assert render(str(run), "--output", "film.mp4", *words) == 1
     assert message in capsys.readouterr().err
     assert not Path("film.mp4").exists()
+
+
+def test_one_picture_is_not_many(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert render(str(run), "--frames", "3", "--size", "32", "--output", str(tmp_path / "a.png")) == 1
+    assert "add --frames 1" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -15,13 +15,17 @@ import pytest
 import torch
 
 from occfusion.__main__ import main
+from occfusion.errors import DataError
+from occfusion.evaluation.pictures import to_uint8
 from occfusion.export.mesh import JOINTS
 from occfusion.files.run_folder import RunFolder
 from occfusion.human.rendering import Renderer
+from occfusion.run.bodies import make_body, make_data
 from occfusion.run.loaded import load_run
 from occfusion.run.showing import MotionChoice, make_showing
 from occfusion.viewer.figure import Figure
 from occfusion.viewer.room import UNITS, furnish
+from occfusion.viewer.seen import TRAINING, Seen
 
 EYE = np.array([0.3, 1.0, 3.0])
 STILL = np.zeros((24, 3))
@@ -105,17 +109,65 @@ def test_the_page_shows_plays_and_switches(short_run: Path, server: Any) -> None
     page._turn(0)
     assert page.step() and np.abs(sent.centers / UNITS - expected.means).max() > 0.05
     page._straighten()
-    page.look.value, page.with_input.value, page.kind.value = "ellipsoids", True, "difference"
+    page.look.value, page.with_input.value, page.kind.value = "ellipsoids", True, "error"
     page._due()
     assert page.step() and not sent.visible
     assert len(server.scene.get_handle_by_name("/ellipsoids").batched_positions) == len(expected.means)
     camera, view = server.scene.get_handle_by_name("/camera"), page.figure.run.views("train")[0].camera
     place = page.figure.own.upright @ torch.cat([view.centre, torch.ones(1)])
     assert np.allclose(camera.position, place[:3] * UNITS, atol=1e-3)
-    assert camera.image.shape == (view.height, view.width, 3) and camera.image.mean() < 60
+    assert camera.image.shape == (view.height, view.width, 3) and 0 < camera.image.mean() < 60
+    assert np.array_equal(page.beside.image, camera.image) and "against the truth" in page.said.content
     page.motion.value = "walk"
     page._change_motion()
     assert page.step() and page.frame.max == len(page.figure.performance) - 1
+
+
+def test_without_the_data_the_avatar_is_shown_all_the_same(
+    short_run: Path, server: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from occfusion.viewer.page import Page
+
+    page = Page(server, {"a run": short_run}, "squat")
+    page.playing.value, page.with_input.value = False, True
+
+    def gone(*_: Any) -> Any:
+        raise DataError("/data: is not there")
+
+    monkeypatch.setattr("occfusion.viewer.seen.make_data", gone)
+    assert page.step() and server.scene.get_handle_by_name("/splats").visible
+    assert not page.with_input.value and "is not there" in page.said.content
+    page._due()
+    assert page.step() and "is not there" in page.said.content
+
+
+def test_pictures_of_cameras_are_the_data_and_their_errors(short_run: Path) -> None:
+    figure = Figure(short_run, motion="squat")
+    seen = Seen(figure.run)
+    data = make_data(figure.run.settings, make_body(figure.run.settings.body))
+    data.setup()
+    assert seen.cameras == (TRAINING, *(f"held out, camera {k}" for k in data.test_cameras))
+    for camera, frame in (
+        (TRAINING, data.train_frame(3)),
+        (seen.cameras[1], data.test_frame(*data.test_views[0])),
+    ):
+        view = seen.nearest(camera, frame.index + 0.2)
+        assert view.frame == frame.index
+        drawn = seen.picture(camera, view, "avatar", figure).picture
+        # in its own light and world, whatever motion plays
+        alone = load_run(short_run).avatar
+        assert np.abs(drawn.astype(int) - to_uint8(Renderer("auto").frame(alone, frame).rgb)).max() <= 1
+        assert np.array_equal(seen.picture(camera, view, "input", figure).picture, to_uint8(frame.rgb))
+        assert frame.truth is not None
+        truth = to_uint8(frame.truth.rgb)
+        assert np.array_equal(seen.picture(camera, view, "truth", figure).picture, truth)
+        error = seen.picture(camera, view, "error", figure)
+        expected = 4 * np.abs(drawn / 255.0 - truth / 255.0).mean(axis=2)
+        assert np.abs(error.picture[..., 0] / 255.0 - expected.clip(0, 1)).max() < 0.03
+        decibels = -10 * np.log10(((drawn / 255.0 - truth / 255.0) ** 2).mean())
+        assert abs(float(error.text.split()[-2]) - decibels) < 0.2
+    lamp = figure.run.avatar.key_light
+    assert (lamp is None) == (figure._light is None)
 
 
 def test_without_viser_one_message_says_what_to_type(

@@ -5,21 +5,25 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
+from rich.console import Console
+from rich.progress import track
 
 from occfusion.errors import ConfigError
 from occfusion.export.splat_glb import write_splat_glb
 from occfusion.export.splats import canonical_table, posed_table, viewers_widening
 from occfusion.export.web import write_page
 from occfusion.files import compressed_ply, spz
+from occfusion.files.numbered import folder_beside, numbered, put_in_place
 from occfusion.files.ply import SplatTable, write_ply
 from occfusion.human.rendering import Renderer
 from occfusion.motion import EMBEDDED_CLIPS, Performance, perform
 from occfusion.run.loaded import LoadedRun, load_run
 from occfusion.run.showing import SEQUENCE, MotionChoice, find_performance
-from occfusion.show.drawing import footprint, parse_light
+from occfusion.show.drawing import ESTIMATED, footprint, parse_light
 from occfusion.show.views import TRAIN
 
 WRITERS: dict[str, Callable[[Path, SplatTable], None]] = {
@@ -46,13 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pose", type=int, help="frame of the motion, for Gaussians and .obj. Default: the canonical pose"
     )
     parser.add_argument(
-        "--motion", default=SEQUENCE,
+        "--motion",
         help=f"sequence, {', '.join(EMBEDDED_CLIPS)}, another run, or a file. Default: sequence",
     )  # fmt: skip
     parser.add_argument("--motion-fps", type=float, help="frames a second of a motion that does not say")
     parser.add_argument("--fps", type=float, help="frames a second that the motion is resampled to")
     parser.add_argument(
-        "--light", default="estimated", help="of posed Gaussians: even, estimated, or AZIMUTH,HEIGHT"
+        "--light", help="of posed Gaussians: even, estimated, or AZIMUTH,HEIGHT. Default: estimated"
     )
     parser.add_argument(
         "--surface", action="store_true",
@@ -76,10 +80,11 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if not suffix and output.exists() and not output.is_dir():
         raise ConfigError(f"--output {output} is a file; name a folder for a .ply a frame")
+    _check_used(arguments)
     loaded = load_run(arguments.run, arguments.stage)
     if loaded.remark:
         print(loaded.remark, file=sys.stderr)
-    motion = MotionChoice(arguments.motion, arguments.motion_fps, arguments.fps)
+    motion = MotionChoice(arguments.motion or SEQUENCE, arguments.motion_fps, arguments.fps)
     if suffix == PAGE:
         _page(loaded, motion, output)
     elif suffix == MESH or arguments.surface:
@@ -87,6 +92,32 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _splats(loaded, motion, arguments)
     return 0
+
+
+def _check_used(arguments: argparse.Namespace) -> None:
+    """Refuses options that the format would leave without effect."""
+    output, suffix = arguments.output, arguments.output.suffix.lower()
+    is_splats = (suffix in WRITERS or not suffix) and not arguments.surface
+    is_posed = arguments.pose is not None or not suffix
+    if arguments.pose is not None and (suffix == PAGE or not suffix):
+        raise ConfigError(f"--pose {arguments.pose}: {output} has all frames of the motion; leave it out")
+    if arguments.light is not None and not is_splats:
+        raise ConfigError(f"--light {arguments.light}: {output} is in even light; leave it out")
+    if arguments.for_viewers is not None and not is_splats:
+        raise ConfigError(f"--for-viewers is for files of Gaussians; {output} is none")
+    moves = suffix == PAGE or (suffix == ".glb" and arguments.surface)
+    asked = {
+        "--motion": arguments.motion,
+        "--motion-fps": arguments.motion_fps,
+        "--fps": arguments.fps,
+        "--light": arguments.light,
+    }
+    unused = [name for name, value in asked.items() if value is not None]
+    if unused and not is_posed and not moves:
+        raise ConfigError(
+            f"{', '.join(unused)}: {output} would be in the canonical pose and even light, which know neither motion "
+            "nor lamp; add --pose FRAME, or name a folder for a .ply a frame"
+        )
 
 
 def _page(loaded: LoadedRun, motion: MotionChoice, output: Path) -> None:
@@ -153,19 +184,29 @@ def _splats(loaded: LoadedRun, motion: MotionChoice, arguments: argparse.Namespa
     ends = [end for end in WRITERS if output.name.lower().endswith(end)]
     write = WRITERS[max(ends, key=len)] if ends else write_ply
     if output.suffix and arguments.pose is None:
-        write(output, canonical_table(avatar, widen))
-        print(f"{output}: canonical pose, even light")
+        said = "canonical pose, even light"
+        write(output, replace(canonical_table(avatar, widen), about=said))
+        print(f"{output}: {said}")
         return
     performance = find_performance(loaded, motion)
     own = perform(loaded.clip, avatar.body, loaded.betas)
-    light = parse_light(arguments.light, avatar, own.upright)
+    light = parse_light(arguments.light or ESTIMATED, avatar, own.upright)
     avatar.relight(None if light.vector is None else performance.upright[:3, :3].T @ light.vector)
-    if output.suffix:
-        _check_pose(arguments.pose, performance)
-        rows = {arguments.pose: output}
-    else:
-        rows = {row: output / f"{row:04d}.ply" for row in range(len(performance))}
+
+    def posed(row: int) -> SplatTable:
+        table = posed_table(avatar, performance.pose(row), performance.upright, widen)
+        said = f"frame {row} of {performance.clip.name}, {light.text} baked in"
+        return replace(table, about=" ".join(said.encode("ascii", "replace").decode().split()))
+
+    count = 1
     with torch.no_grad():
-        for row, path in rows.items():
-            write(path, posed_table(avatar, performance.pose(row), performance.upright, widen))
-    print(f"{output}: {len(rows)} of {len(performance)} poses, {light.text} baked in")
+        if output.suffix:
+            _check_pose(arguments.pose, performance)
+            write(output, posed(arguments.pose))
+        else:
+            count = len(performance)
+            with folder_beside(output) as folder:
+                for row in track(range(count), "poses", console=Console(stderr=True)):
+                    write(folder / numbered(row, ".ply"), posed(row))
+                put_in_place(folder, output, ".ply", count)
+    print(f"{output}: {count} of {len(performance)} poses, {light.text} baked in")

@@ -103,6 +103,11 @@ def run(arguments: argparse.Namespace) -> int:
         for one in loaded
     ]  # fmt: skip
     count = min(len(showing.shots) for showing in showings)
+    if count > 1 and arguments.output.suffix.lower() == STILL:
+        raise ConfigError(
+            f"--output {arguments.output}: a .png holds one picture, and these are {count}; add --frames 1, or name a "
+            "folder"
+        )
     fps = arguments.fps or next((s.fps for s in showings if s.fps is not None), USUAL_FPS)
     films = _films(arguments, words, loaded, showings, count, size)
     console = Console(stderr=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 import webbrowser
 from pathlib import Path
@@ -34,6 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(
             "view needs viser, which is not installed: pip install 'occfusion[view]', in a clone pip install '.[view]'"
         ) from None
+    # browsers open connections that they then leave unused, which is no news to anybody
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     if not 1 <= arguments.port <= 65535:
         raise ConfigError(f"--port {arguments.port}: 1 to 65535")
     try:

@@ -51,7 +51,8 @@ def need(row: Mapping[str, Any], key: str, where: str) -> Any:
         DataError: it is missing; says what is there.
     """
     if key not in row:
-        raise DataError(f"{where}: key {key!r} is missing; it has {', '.join(map(str, row))[:200]}.")
+        known = ", ".join(map(str, row))[:200] or "none that is known here"
+        raise DataError(f"{where}: key {key!r} is missing; it has {known}.")
     return row[key]
 
 

@@ -47,9 +47,10 @@ def write_splat_glb(path: Path | str, table: SplatTable) -> None:
         "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective",
         "sortingMethod": "cameraDistance",
     }  # fmt: skip
+    said = {"extras": {"about": table.about}} if table.about else {}
     points = {"mode": 0, "attributes": attributes, "extensions": {EXTENSION: kernel}}
     glb.document = {
         "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "avatar", "mesh": 0}], "meshes": [{"primitives": [points]}],
+        "nodes": [{"name": "avatar", "mesh": 0, **said}], "meshes": [{"primitives": [points]}],
     }  # fmt: skip
     glb.write(path)

@@ -13,6 +13,7 @@ import html
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -61,6 +62,7 @@ def write_page(
     opacities = avatar.gaussians.opacities
     sh = avatar.gaussians.sh(0)
     table = splat_table(means, roots @ roots.transpose(1, 2), opacities, sh, 0.0)
+    table = replace(table, about="at rest, even light")
     kept = opacities >= FAINTEST
     bones, weights = four_bones(binding.weights[kept])
     with tempfile.TemporaryDirectory() as folder:

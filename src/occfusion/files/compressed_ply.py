@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.files.atomic import write_bytes
-from occfusion.files.ply import Floats, SplatTable, check_table
+from occfusion.files.ply import Floats, SplatTable, check_table, comments
 
 SUFFIX = ".compressed.ply"
 CHUNK = 256
@@ -46,7 +46,8 @@ def write_compressed_ply(path: Path | str, table: SplatTable) -> None:
     )
     higher = table.sh_rest[order].transpose(0, 2, 1).reshape(n, rest)
     coefficients = np.clip(np.round((higher + _SH_RANGE) * (255 / (2 * _SH_RANGE))), 0, 255)
-    header = ["ply", "format binary_little_endian 1.0", f"element chunk {math.ceil(n / CHUNK)}"]
+    header = ["ply", "format binary_little_endian 1.0", *comments(table)]
+    header.append(f"element chunk {math.ceil(n / CHUNK)}")
     header += [
         f"property float {side}_{name}" for names in _BOUNDS for side in ("min", "max") for name in names
     ]

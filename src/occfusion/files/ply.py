@@ -30,6 +30,7 @@ class SplatTable:
         opacity_logits: `[N]`.
         sh0: coefficients of band 0, `[N, 1, 3]`.
         sh_rest: coefficients of the other bands, `[N, K - 1, 3]`.
+        about: what a file says of itself where its format has room for words: one line, ASCII.
     """
 
     means: Floats
@@ -38,6 +39,7 @@ class SplatTable:
     opacity_logits: Floats
     sh0: Floats
     sh_rest: Floats
+    about: str = ""
 
 
 def write_ply(path: Path | str, table: SplatTable) -> None:
@@ -60,9 +62,14 @@ def write_ply(path: Path | str, table: SplatTable) -> None:
         axis=1,
     ).astype("<f4")
     names = _property_names(3 * rest)
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
+    header = ["ply", "format binary_little_endian 1.0", *comments(table), f"element vertex {n}"]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     write_bytes(path, "\n".join(header).encode("ascii") + columns.tobytes())
+
+
+def comments(table: SplatTable) -> list[str]:
+    """Returns the lines of a header that say what the file is; none where nobody said."""
+    return [f"comment {table.about}"] if table.about else []
 
 
 def check_table(path: Path | str, table: SplatTable) -> int:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
@@ -15,6 +13,7 @@ from numpy.typing import NDArray
 
 from occfusion.errors import DataError
 from occfusion.files.atomic import atomic_write, write_png
+from occfusion.files.numbered import folder_beside, numbered, put_in_place
 
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 ANIMATED = ".webp"
@@ -91,42 +90,19 @@ def write_folder(path: Path, pictures: Iterable[Sequence[Picture]], names: Seque
         DataError: the disk refuses.
     """
     count = 0
-    with _folder_beside(path) as folder:
+    with folder_beside(path) as folder:
         for count, row in enumerate(pictures, 1):
             for name, picture in zip(names, row, strict=True):
-                write_png(folder / name / f"{count - 1:04d}.png", picture)
-        try:
-            for name in names if count else ():
-                place = path / name
-                place.mkdir(parents=True, exist_ok=True)
-                for file in (folder / name).glob("*.png"):
-                    file.replace(place / file.name)
-                for old in place.glob("[0-9][0-9][0-9][0-9]*.png"):
-                    if old.stem.isdigit() and int(old.stem) >= count:
-                        old.unlink()
-        except OSError as error:
-            raise DataError(
-                f"{path}: cannot be written ({error.strerror}); check space and rights."
-            ) from error
+                write_png(folder / name / numbered(count - 1, STILL), picture)
+        for name in names if count else ():
+            put_in_place(folder / name, path / name, STILL, count)
     return count
-
-
-@contextmanager
-def _folder_beside(path: Path) -> Iterator[Path]:
-    """Yields a folder on the disk of `path`, for what is not whole yet."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        folder = TemporaryDirectory(prefix=f".{path.name[:80]}.", dir=path.parent)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written ({error.strerror}); check space and rights.") from error
-    with folder as name:
-        yield Path(name)
 
 
 def _write_video(path: Path, pictures: Iterator[Picture], fps: float) -> int:
     """The codec writes a file of its own; it takes its place when it is whole."""
     count = 0
-    with _folder_beside(path) as folder:
+    with folder_beside(path) as folder:
         partial = folder / f"film{path.suffix.lower()}"
         writer: cv2.VideoWriter | None = None
         try:

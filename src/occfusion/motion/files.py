@@ -13,6 +13,11 @@ from occfusion.files.arrays import load_npz
 from occfusion.files.atomic import write_bytes
 from occfusion.motion.clip import Clip
 
+_WANTED = (
+    "A motion is a file of AMASS (SMPL-H or SMPL-X) or AIST++, or a .npz with global_orient (N, 3), body_pose (N, 69) "
+    "and transl (N, 3) of SMPL's skeleton, all finite; those of other skeletons have to be turned into it first"
+)
+
 
 def read_clip(path: Path, fps: float | None = None) -> Clip:
     """Returns the motion of a file in any form that `pose_table` knows, or as `write_clip` wrote it.
@@ -24,7 +29,10 @@ def read_clip(path: Path, fps: float | None = None) -> Clip:
     Raises:
         DataError: missing, damaged, of no known form, with NaN, or of a body with other joints.
     """
-    motion = read_motion(path)
+    try:
+        motion = read_motion(path)
+    except DataError as error:
+        raise DataError(f"{str(error).rstrip('.')}. {_WANTED}") from error
     own = fps if fps is not None else motion.fps
     up = motion.up
     if path.suffix.lower() == ".npz":

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from occfusion.files.run_folder import STAGES, RunFolder
 from occfusion.geometry.rotation import matrix_to_quaternion
@@ -16,6 +17,7 @@ from occfusion.run.loaded import LoadedRun, load_run
 from occfusion.run.showing import SEQUENCE, MotionChoice, find_performance
 from occfusion.show.drawing import ESTIMATED, parse_light
 from occfusion.synth.rotations import axis_angle_from_quaternion, multiply, quaternion_from_axis_angle
+from occfusion.types import Cloud, Pose
 
 NEWEST = "newest"
 """The word for the furthest stage of a run, which may still go on."""
@@ -80,8 +82,26 @@ class Figure:
         """Takes another motion: `sequence`, an embedded clip, another run, or a file."""
         self.performance = find_performance(self.run, MotionChoice(motion))
         self._motion = motion
-        turn = self.performance.upright[:3, :3].T
-        self.run.avatar.relight(None if self._light is None else turn @ self._light)
+        self.run.avatar.relight(self._lamp(self.performance))
+
+    def _lamp(self, performance: Performance) -> Tensor | None:
+        """Returns the lamp in the world of a performance."""
+        return None if self._light is None else performance.upright[:3, :3].T @ self._light
+
+    @torch.inference_mode()
+    def at_home(self, pose: Pose, eye: Tensor) -> Cloud:
+        """Returns the Gaussians in a pose of their own sequence, in its world and its light, whatever plays.
+
+        Args:
+            pose: of the sequence.
+            eye: where the camera is, `[3]`, metres.
+        """
+        avatar, shown = self.run.avatar, self.run.avatar.key_light
+        avatar.relight(self._lamp(self.own))
+        try:
+            return avatar(pose, eye)
+        finally:
+            avatar.relight(shown)
 
     @property
     def label(self) -> str:

@@ -12,30 +12,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 import trimesh
-from numpy.typing import NDArray
 
 from occfusion.errors import OccfusionError
-from occfusion.evaluation.pictures import to_uint8
 from occfusion.export.mesh import JOINTS
 from occfusion.geometry.rotation import matrix_to_quaternion
-from occfusion.human.rendering import Renderer
 from occfusion.motion import EMBEDDED_CLIPS, USUAL_FPS
 from occfusion.run.loaded import stages_with_avatar
-from occfusion.run.showing import SEQUENCE, inputs_of, run_names
-from occfusion.show.drawing import world_to_clip
-from occfusion.show.paths import still
-from occfusion.show.views import TRAIN
+from occfusion.run.showing import SEQUENCE, run_names
 from occfusion.viewer.figure import NEWEST, Figure, Splats
 from occfusion.viewer.room import EYE, UNITS
+from occfusion.viewer.seen import KINDS, Seen
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 LOOKS = ("colours", "occupancy", "ellipsoids")
-INPUTS = ("input", "avatar", "difference")
 FOLLOW_SECONDS = 1.0
 """Between two looks for a newer checkpoint."""
 _MOST_RATE = 30.0
+_FRAME = (230, 200, 90)
+"""Colour of a camera's outline."""
 
 
 def names_of(folders: Sequence[Path]) -> dict[str, Path]:
@@ -61,9 +57,8 @@ class Page:
         self._is_due = True
         self._time, self._last, self._looked = 0.0, time.monotonic(), time.monotonic()
         self._shown, self._since = 0, time.monotonic()
-        self._inputs: dict[int, NDArray[np.uint8]] = {}
+        self._seen = Seen(self.figure.run)
         self._asked: dict[int, Callable[[], None]] = {}
-        self._renderer = Renderer("auto")
         self._handles: dict[str, Any] = {}
         self._watch_cameras()
         self._make_controls(motion)
@@ -94,12 +89,15 @@ class Page:
             self.angles = [gui.add_slider(f"turn {axis}", -180.0, 180.0, 1.0, 0.0) for axis in "xyz"]
             self.straighten = gui.add_button("as in the motion")
         with gui.add_folder("input", expand_by_default=False):
-            self.with_input = gui.add_checkbox("training camera", False)
-            self.kind = gui.add_dropdown("picture", INPUTS)
+            self.with_input = gui.add_checkbox("show", False)
+            self.camera = gui.add_dropdown("camera", self._seen.cameras)
+            self.kind = gui.add_dropdown("picture", KINDS)
+            self.beside = gui.add_image(np.zeros((8, 8, 3), np.uint8), visible=False)
+            self.said = gui.add_markdown("")
         for handle, done in (
             (self.which, self._open), (self.stage, self._open), (self.motion, self._change_motion),
-            (self.joint, self._show_joint), (self.straighten, self._straighten), (self.with_input, self._due),
-            (self.kind, self._due), (self.look, self._due),
+            (self.joint, self._show_joint), (self.straighten, self._straighten), (self.with_input, self._show_input),
+            (self.kind, self._due), (self.camera, self._due), (self.look, self._due),
         ):  # fmt: skip
             self._on(handle, done)
         for axis, slider in enumerate(self.angles):
@@ -123,9 +121,14 @@ class Page:
     def _due(self) -> None:
         self._is_due = True
 
+    def _show_input(self) -> None:
+        self.said.content, self._is_due = "", True
+
     def _open(self) -> None:
         self.figure = Figure(self._folders[self.which.value], self.stage.value, self.motion.value)
-        self._inputs.clear()
+        self._seen = Seen(self.figure.run)
+        if self._seen.cameras != self.camera.options:
+            self.camera.options = self._seen.cameras
         self._set_length()
 
     def _change_motion(self) -> None:
@@ -206,7 +209,12 @@ class Page:
             if row != self.frame.value:
                 self.frame.value = row
             (self._send_ellipsoids if self.look.value == "ellipsoids" else self._send_splats)(splats)
-            self._send_input(row)
+            try:
+                self._send_input(row)
+            except OccfusionError as error:  # the avatar needs no data: it goes on without them
+                self.with_input.value = False
+                self._hide("camera")
+                self.beside.visible, self.said.content = False, f"**{error}**"
         if not self.status.content:
             self.status.content = self.figure.label
 
@@ -235,35 +243,21 @@ class Page:
             self._handles[name].visible = False
 
     def _send_input(self, row: int) -> None:
-        """Puts the training camera where it stood, with a picture of its frame that is nearest to this one."""
-        if not self.with_input.value:
+        """Puts a camera of the data where it stood, with a picture of its frame that is nearest to this one."""
+        is_shown: bool = self.with_input.value
+        self.beside.visible = is_shown
+        if not is_shown:
             self._hide("camera")
             return
         figure = self.figure
-        views = figure.run.views(TRAIN)
         number = row if figure.performance.clip.numbers is None else figure.performance.clip.numbers[row]
-        near = min(range(len(views)), key=lambda k: abs((views[k].frame or 0) - number))
-        camera = views[near].camera
+        view = self._seen.nearest(self.camera.value, number)
+        shown = self._seen.picture(self.camera.value, view, self.kind.value, figure)
+        self.beside.image, self.said.content = shown.picture, shown.text
+        camera = view.camera
         pose = figure.own.upright @ torch.linalg.inv(camera.viewmat)
         self._handles["camera"] = self.server.scene.add_camera_frustum(
             "/camera", 2 * math.atan(0.5 * camera.height / float(camera.K[1, 1])), camera.width / camera.height,
-            scale=0.3 * UNITS, image=self._picture(near), position=(pose[:3, 3] * UNITS).numpy(),
+            scale=0.3 * UNITS, color=_FRAME, image=shown.picture, position=(pose[:3, 3] * UNITS).numpy(),
             wxyz=matrix_to_quaternion(pose[:3, :3]).numpy(),
         )  # fmt: skip
-
-    def _picture(self, place: int) -> NDArray[np.uint8]:
-        """Returns what the training camera saw of a view, our picture of it, or how they differ."""
-        run, view = self.figure.run, self.figure.run.views(TRAIN)[place]
-        if place not in self._inputs:
-            self._inputs[place] = next(inputs_of(run, [view], None))
-        seen = self._inputs[place]
-        if self.kind.value == "input":
-            return seen
-        own = self.figure.own
-        assert own.clip.numbers is not None
-        row = int(np.abs(own.clip.numbers - (view.frame or 0)).argmin())
-        (shot,) = still(own, [row], [view], world_to_clip(own, own), None)
-        with torch.inference_mode():
-            cloud = run.avatar(own.pose(row), shot.camera.centre)
-            drawn = to_uint8(self._renderer.draw(cloud, shot.camera).rgb)
-        return drawn if self.kind.value == "avatar" else np.abs(drawn.astype(int) - seen).astype(np.uint8)
