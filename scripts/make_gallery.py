@@ -37,7 +37,7 @@ from occfusion.types import Frame
 ROOT = Path(__file__).parents[1]
 PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "pictures" / "gallery"
 SETTINGS = ("speed=fast", "dataset.image_size=256", "evaluation.perceptual=false", "evaluation.curve=false")
-SIZE, FILM_SIZE = 256, 224
+SIZE, FILM_SIZE = 320, 288
 """Pixels of a panel of a strip, and of a film."""
 STRIP_QUALITY, FILM_QUALITY = 88, 72
 FILM_FRAMES = 36
@@ -120,7 +120,7 @@ def draw(person: Person, work: Path) -> None:
     frame = data.train_frame(int(person.frame * len(data.train_indices)))
     ours = renderer.frame(loaded.avatar, frame).rgb
     panels = [
-        captioned(cut(to_uint8(frame.rgb), frame), f"input, frame {frame.name}"),
+        captioned(cut(to_uint8(frame.rgb), frame), f"input, frame {frame.index}"),
         captioned(cut(to_uint8(ours), frame), "avatar"),
         captioned(around(folder, None, [(0.0, BEHIND)])[0], "from behind"),
         *(

@@ -247,7 +247,7 @@ def test_a_folder_of_poses_is_whole_or_not_there(
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(headless.find_browser() is None, reason="no Chromium on this machine")
+@pytest.mark.skipif(headless.find_browser() is None, reason="no Chromium: exported pages go unseen here")
 def test_the_page_shows_five_poses_as_we_do_and_a_wrong_bone_shows(run: Path, tmp_path: Path) -> None:
     pytest.importorskip("websockets", reason="speaks to the browser")
     path = tmp_path / "avatar.html"

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from occfusion.__main__ import main
-from occfusion.errors import DataError
+from occfusion.errors import CheckpointError, DataError
 from occfusion.evaluation.pictures import to_uint8
 from occfusion.export.mesh import JOINTS
 from occfusion.files.run_folder import RunFolder
@@ -80,9 +80,15 @@ def test_a_newer_file_is_taken(short_run: Path, tmp_path: Path) -> None:
     assert figure.reload() and not figure.reload()
 
 
+def test_a_run_without_an_avatar_is_one_message(short_run: Path, tmp_path: Path) -> None:
+    shutil.copy(RunFolder(short_run).config, tmp_path / "config.yaml")
+    with pytest.raises(CheckpointError, match="holds no avatar yet: let `python train"):
+        Figure(tmp_path)
+
+
 @pytest.fixture
 def server() -> Iterator[Any]:
-    viser = pytest.importorskip("viser", reason="serves the page")
+    viser = pytest.importorskip("viser", reason="no viser (extra `view`): its page goes untested here")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -168,6 +174,14 @@ def test_pictures_of_cameras_are_the_data_and_their_errors(short_run: Path) -> N
         assert abs(float(error.text.split()[-2]) - decibels) < 0.2
     lamp = figure.run.avatar.key_light
     assert (lamp is None) == (figure._light is None)
+
+
+def test_an_address_of_another_machine_is_one_message(
+    short_run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "viser", object())  # not reached
+    assert main(["view", str(short_run), "--host", "192.0.2.1"]) == 1
+    assert "--host 192.0.2.1" in capsys.readouterr().err
 
 
 def test_without_viser_one_message_says_what_to_type(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import socket
 import sys
 import webbrowser
 from pathlib import Path
@@ -40,14 +41,20 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.port <= 65535:
         raise ConfigError(f"--port {arguments.port}: 1 to 65535")
     try:
+        # viser looks for a port without end where the address is not this machine's
+        with socket.create_server((arguments.host, 0)):
+            pass
         server = viser.ViserServer(arguments.host, arguments.port, label="occfusion", verbose=False)
     except OSError as error:
-        raise ConfigError(f"--host {arguments.host} --port {arguments.port}: {error}; name others") from error
+        raise ConfigError(
+            f"--host {arguments.host} --port {arguments.port}: {error.strerror or error}; leave --host out for this "
+            "machine alone, or 0.0.0.0 lets others in"
+        ) from error
     furnish(server)
     address = f"http://{arguments.host}:{server.get_port()}"
     print(f"{address}  (Ctrl-C ends)", flush=True)
-    if arguments.browser:
-        webbrowser.open(address)
+    if arguments.browser and not webbrowser.open(address):
+        print("--browser: no browser was found here; open the address above in one", file=sys.stderr)
     try:
         from occfusion.viewer.page import Page, names_of  # takes seconds, in which the browser gets the page
 

@@ -60,7 +60,7 @@ class Figure:
         self.folder = folder
         self._wanted = None if stage == NEWEST else stage
         self._motion = motion
-        self._stamp: tuple[tuple[int, int], ...] = ()
+        self._stamp: tuple[tuple[int, int], ...] | None = None
         self.run: LoadedRun
         self.own: Performance
         self.performance: Performance
