@@ -92,6 +92,30 @@ def test_posed_gaussians_read_by_another_reader_show_the_same_picture(
     assert psnr(to_uint8(drawn.rgb), to_uint8(showing.painter.draw(shot).rgb)) > least
 
 
+def test_a_viewer_with_its_own_footprint_shows_the_same_picture(run: Path, tmp_path: Path) -> None:
+    """Viewers add 0.3 square pixels, whatever the size; `--for-viewers` bakes in what that lacks of ours."""
+    loaded = load_run(run)
+    side = 8 * loaded.views("train")[0].camera.width
+    showing = make_showing(
+        loaded, "held-out", MotionChoice("sequence"), size=(side, side), frames=1, renderer=Renderer("auto")
+    )
+    (shot,) = showing.shots
+    ours = showing.painter.cloud(shot)
+    assert ours.dilation > 1.0  # of eight times the size: there is something to bake in
+    view = shot.camera.viewmat @ torch.linalg.inv(showing.painter.performance.upright)
+    found = {}
+    for name, words in {"plain": [], "baked": ["--for-viewers", str(side)]}.items():
+        path = tmp_path / f"{name}.ply"
+        assert main(["export", str(run), "--output", str(path), "--pose", str(shot.row), *words]) == 0
+        read = {k: torch.tensor(np.ascontiguousarray(v)).float() for k, v in read_by_gsply(path).items()}
+        drawn = rasterize(
+            read["means"], read["quats"], read["scales"], read["o"], read["sh"], view, shot.camera.K, side, side,
+            sh_degree=round(read["sh"].shape[1] ** 0.5) - 1, limits=Limits(dilation=0.3),
+        )  # fmt: skip
+        found[name] = psnr(to_uint8(drawn.rgb), to_uint8(showing.painter.draw(shot).rgb))
+    assert found["baked"] > 45 and found["plain"] < found["baked"] - 6, found
+
+
 def posed_by_the_rules_of_gltf(path: Path, animation: str, seconds: float) -> np.ndarray:
     """Vertices of a skinned mesh at a moment, as "3.7.3 Skins" and "3.11 Animations" of glTF 2.0 say."""
     content = path.read_bytes()

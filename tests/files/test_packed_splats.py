@@ -84,7 +84,8 @@ def test_glb_keeps_every_value(tmp_path, bands):
 
 def test_a_chunk_of_equal_values_has_no_extent(tmp_path):
     table = table_of(5, 1)
-    same = SplatTable(**{name: np.repeat(value[:1], 5, axis=0) for name, value in vars(table).items()})
+    arrays = {name: value for name, value in vars(table).items() if name != "about"}
+    same = SplatTable(**{name: np.repeat(value[:1], 5, axis=0) for name, value in arrays.items()})
     write_compressed_ply(tmp_path / "a.compressed.ply", same)
     assert np.allclose(gsply.plyread(str(tmp_path / "a.compressed.ply")).means, same.means)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from occfusion.errors import DataError
+from occfusion.files import video
 from occfusion.files.images import read_rgb
 from occfusion.files.video import write_folder, write_frames
 
@@ -47,3 +48,11 @@ def test_what_stops_half_way_leaves_the_folder_as_it_was(tmp_path):
     with pytest.raises(DataError):
         write_folder(tmp_path / "new", interrupted(), [""])
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.avi"])
+def test_a_codec_that_is_not_there_is_one_message_and_no_file(tmp_path, monkeypatch, name):
+    monkeypatch.setattr(video, "CODECS", dict.fromkeys(video.CODECS, "ZZZZ"))
+    with pytest.raises(DataError, match=r"no codec ZZZZ for 16 x 16 pixels; write \.webp"):
+        write_frames(tmp_path / name, [np.zeros((16, 16, 3), np.uint8)], 10)
+    assert not list(tmp_path.iterdir())
