@@ -193,8 +193,8 @@ def page(work: Path) -> str:
         full, box = metrics["regions"]["full"], metrics["regions"]["box"]
         name = f"pictures/gallery/{person.scene}"
         figures = (
-            f"Held-out cameras, {metrics['images']} images: PSNR {full['psnr']:.2f} dB, SSIM {full['ssim']:.4f}, in the "
-            f"person's box\n{box['psnr']:.2f} dB. {metrics['gaussians']} Gaussians."
+            f"Held-out cameras, {metrics['images']} images: PSNR {full['psnr']:.2f} dB, SSIM {full['ssim']:.4f}, in the"
+            f" person's box\n{box['psnr']:.2f} dB. {metrics['gaussians']} Gaussians."
         )
         parts.append(
             f"## {person.scene}\n\n{person.text}. {figures}\n\n"
