@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import struct
 from collections.abc import Callable
 from functools import cache
@@ -240,6 +241,14 @@ def test_files_say_which_light_they_have(run: Path, tmp_path: Path) -> None:
     ):
         assert main(["export", str(run), "--output", str(tmp_path / name), *words]) == 0
         assert text in (tmp_path / name).read_bytes()[:60_000].decode("latin-1")
+
+
+def test_the_page_says_who_it_shows_and_in_which_light(run: Path, tmp_path: Path) -> None:
+    assert main(["export", str(run), "--output", str(tmp_path / "a.html")]) == 0
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "<title>001-clean</title>" in text
+    (record,) = re.findall(r'id="record">(.*?)</script>', text)
+    assert "even light" in json.loads(record)["about"]["text"]
 
 
 def test_a_folder_of_poses_is_whole_or_not_there(

@@ -122,7 +122,8 @@ def _check_used(arguments: argparse.Namespace) -> None:
 
 def _page(loaded: LoadedRun, motion: MotionChoice, output: Path) -> None:
     performances = _motions(loaded, motion)
-    write_page(output, loaded.avatar, performances, title=loaded.clip.name, pixel=loaded.pixel)
+    title = str(loaded.settings.dataset.scene or loaded.folder.path.resolve().name)
+    write_page(output, loaded.avatar, performances, title=title, pixel=loaded.pixel)
     _say_motions(output, performances)
 
 
