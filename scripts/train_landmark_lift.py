@@ -25,21 +25,13 @@ from occfusion.footage.lift import ASSET, HIPS, MOST, WORLD_SCALE, from_hips, in
 from occfusion.footage.people import follow
 from occfusion.human import embedded_body
 from occfusion.synth.fullbody import bone_transforms, load_model_body
-from occfusion.synth.motion import smooth_noise
 from occfusion.synth.scene import Scene
 from occfusion.synth.spec import SceneSpec
 from occfusion.synth.studio import Y_UP_TO_Z_UP
 
-SUBJECTS, MIXED_FROM, FRAMES = range(20, 100), 32, 100
-ARMS, LEGS = [13, 14, 16, 17, 18, 19, 20, 21], [1, 2, 4, 5, 7, 8]
-DISTURBED = [1, 2, 3, 4, 5, 6, 9, 12, 15, 16, 17, 18, 19, 20, 21]
-KNEES = [3 * 4, 3 * 5]
+SUBJECTS, MIXED_FROM, FRAMES, STEP = range(20, 100), 32, 100, 2
 HIDDEN, EPOCHS, BATCH, RATE = 128, 60, 128, 2e-3
 ROLL, NOISE = 0.15, 0.01  # radians; metres, and shares of the person's size
-
-
-def numbers(joints: list[int]) -> list[int]:
-    return [3 * joint + axis for joint in joints for axis in range(3)]
 
 
 def person(subject: int) -> dict[str, np.ndarray]:
@@ -50,18 +42,14 @@ def person(subject: int) -> dict[str, np.ndarray]:
     scene = Scene(SceneSpec(subject, "hard", frames=FRAMES, cameras=1, image_size=720))
     poses = scene.take.poses
     if subject >= MIXED_FROM:
-        for joints in (ARMS, LEGS):
-            poses[:, numbers(joints)] = np.roll(poses, int(rng.integers(FRAMES)), 0)[:, numbers(joints)]
-        noise = smooth_noise(rng, FRAMES, 3 * len(DISTURBED), 8.0)
-        poses[:, numbers(DISTURBED)] += rng.uniform(0.1, 0.35) * noise
-        poses[:, KNEES] = np.abs(poses[:, KNEES])
+        plain.mix(poses, rng)
     K, view = plain.camera()
     room, body = plain.background(subject), load_model_body()
     at_rest = body.regressor @ (body.template + body.shapedirs @ scene.subject.betas)
     turn = view[:3, :3] @ Y_UP_TO_Z_UP
     quaternion = plain.quaternion_of(turn)
     rows, pictures = [], []
-    for frame, pose in enumerate(poses):
+    for frame, pose in list(enumerate(poses))[::STEP]:
         root = plain.multiply(quaternion, plain.quaternion_from_axis_angle(pose[:3]))
         move = bone_transforms(pose, at_rest, body.parents)[0]
         pelvis = (move[:3, :3] @ at_rest[0] + move[:3, 3] + scene.take.transl[frame]) @ turn.T + view[:3, 3]
@@ -71,7 +59,7 @@ def person(subject: int) -> dict[str, np.ndarray]:
             ".jpg", np.clip(picture, 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 80]
         )[1]
         pictures.append(np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR)))
-    points = follow(pictures, range(FRAMES)).keypoints()
+    points = follow(pictures, range(len(pictures))).keypoints()
     table = torch.tensor(np.stack(rows), dtype=torch.float32)
     batch = BodyBatch(embedded_body(), np.zeros(1, dtype=np.int64))
     betas = torch.tensor(scene.subject.betas, dtype=torch.float32)

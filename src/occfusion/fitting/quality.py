@@ -140,9 +140,9 @@ def measure(
             if not masks[k].any():
                 continue
             shown = silhouette(vertices, K, faces, masks[k].shape)
-            mask = _preview(masks[k], shown.shape)
+            mask = preview(masks[k], shown.shape)
             if hidden is not None and hidden[k].any():
-                cover = _preview(hidden[k], shown.shape)
+                cover = preview(hidden[k], shown.shape)
                 partial[k] = (shown & cover).sum() > 0.05 * shown.sum()
                 shown = shown & ~cover
             both = float((shown & mask).sum())
@@ -153,7 +153,8 @@ def measure(
     return Quality(pixels, iou, inside, partial)
 
 
-def _preview(mask: Mask, shape: tuple[int, ...]) -> Mask:
+def preview(mask: Mask, shape: tuple[int, ...]) -> Mask:
+    """Returns a mask made smaller, `shape`: where at least half of a pixel is in it."""
     small = cv2.resize(mask.astype(np.uint8) * 255, shape[::-1], interpolation=cv2.INTER_AREA)
     return np.asarray(small >= 128)
 
