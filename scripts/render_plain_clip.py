@@ -5,7 +5,8 @@
     python scripts/render_plain_clip.py 2 --mixed --output clips/002m     # poses that no recording has
     python scripts/render_plain_clip.py 101 --pan 12 --output clips/101p  # the camera turns to and fro
 
-Writes `clip.mp4`, and `truth.npz`: `joints` N x 24 x 3 (camera, metres), `K`, `betas`, `poses`, `transl` (camera);
+Writes `clip.mp4`, and `truth.npz`: `joints` N x 24 x 3 (camera, metres), `K`, `betas`, `poses`, `transl` (camera),
+`bars` N x 2, the columns of the bar;
 `masks/` the visible person, `whole/` the whole one.
 """
 
@@ -114,7 +115,7 @@ def main() -> None:
     rest = body.template + body.shapedirs @ scene.subject.betas
     at_rest = body.regressor @ rest
     still, room_ahead = view, room
-    joints, poses, transl, pictures = [], [], [], []
+    joints, poses, transl, pictures, bars = [], [], [], [], []
     for frame in range(arguments.frames):
         if arguments.pan:
             view, room = panned(still, room_ahead, K, arguments.pan * np.sin(2 * np.pi * frame / PAN_FRAMES))
@@ -133,19 +134,21 @@ def main() -> None:
         transl.append(joints[-1][0] - at_rest[0])
         picture, mask = shot(scene, frame, K, view, room)
         write_png(arguments.output / "whole" / f"{frame:06d}.png", mask)
+        bars.append((0, 0))
         if arguments.bar and frame < 0.8 * arguments.frames:
             columns = np.flatnonzero(mask.any(axis=0))
             wide = arguments.bar * (columns[-1] - columns[0])
             x0 = int((columns[-1] + columns[0]) / 2 - wide / 2)
-            picture[:, x0 : x0 + int(wide)] = room[:, :1] * 0.6
-            mask[:, x0 : x0 + int(wide)] = False
+            bars[-1] = (x0, x0 + int(wide))
+            picture[:, slice(*bars[-1])] = room[:, :1] * 0.6
+            mask[:, slice(*bars[-1])] = False
         write_png(arguments.output / "masks" / f"{frame:06d}.png", mask)
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
     write_frames(arguments.output / "clip.mp4", pictures, FPS)
     with atomic_write(arguments.output / "truth.npz") as stream:
         np.savez(
             stream, joints=np.stack(joints), K=K, betas=scene.subject.betas, poses=np.stack(poses),
-            transl=np.stack(transl),
+            transl=np.stack(transl), bars=np.array(bars),
         )  # fmt: skip
 
 

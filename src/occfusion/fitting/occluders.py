@@ -21,8 +21,8 @@ Mask = NDArray[np.bool_]
 
 DEEP = 0.022
 """Distance from the body's edge, in its heights, from which on a place that the mask leaves out is no misfit."""
-LEAST = 0.03
-"""Share of the body that is deep and missing, of one piece, below which nothing is said."""
+LEAST, EACH = 0.03, 0.003
+"""Share of the body that is deep and missing below which nothing is said, and that each piece must have of it."""
 SHARED = 0.3
 """Share of a piece that a neighbouring frame misses too."""
 GROWN = 1
@@ -67,8 +67,10 @@ def _pieces(shown: Mask, mask: Mask) -> Mask:
     missing = shown & ~mask
     count, labels = cv2.connectedComponents(missing.astype(np.uint8), connectivity=4)
     deep = np.bincount(labels[missing & (inside > DEEP * size)], minlength=count)
-    keep = deep >= LEAST * shown.sum()
+    keep = deep >= EACH * shown.sum()
     keep[0] = False
+    if deep[keep].sum() < LEAST * shown.sum():
+        keep[:] = False
     return np.asarray(keep[labels])
 
 

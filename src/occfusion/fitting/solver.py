@@ -43,6 +43,7 @@ class Weights:
         limits: of joints beyond their limits.
         smooth: of the accelerations of joints, per decimetre a frame squared, squared.
         turning: of changes of rotations between frames.
+        bending: of changes of joints' bends between frames: who turns shows the same pose from many sides.
         shape: of the shape components.
         feet: of standing feet that move.
         outside: of the body outside of the mask.
@@ -57,6 +58,7 @@ class Weights:
     limits: float = 20.0
     smooth: float = 1.0
     turning: float = 0.3
+    bending: float = 0.0
     shape: float = 0.1
     feet: float = 2.0
     outside: float = 2.0
@@ -260,7 +262,7 @@ class _Fit:
             total = total + w.world * self._in_space(marks)
         total = total + w.pose * unlikely(state.pose).mean() + w.limits * beyond_limits(state.pose).mean()
         total = total + w.shape * (state.betas**2).sum() + w.focal * state.log_focal**2
-        total = total + self._motion(turns, places)
+        total = total + self._motion(rotations, turns, places)
         if "masks" in terms:
             total = total + self._outline(state, turns, places, step)
         return total
@@ -283,7 +285,7 @@ class _Fit:
         squared = (gap**2).sum(dim=-1)
         return (sure[..., 0] * squared / (1 + squared / 4.0)).sum(dim=1).mean()
 
-    def _motion(self, turns: Tensor, places: Tensor) -> Tensor:
+    def _motion(self, rotations: Tensor, turns: Tensor, places: Tensor) -> Tensor:
         w = self.weights
         total = places.new_zeros(())
         if self.count > 2:
@@ -295,6 +297,11 @@ class _Fit:
             total = (
                 total
                 + w.turning * (self.close[:, None, None, None] * change**2).sum(dim=(1, 2, 3)).mean() / 4.0
+            )
+            bend = rotations[1:, 1:] - rotations[:-1, 1:]
+            total = (
+                total
+                + w.bending * (self.close[:, None, None, None] * bend**2).sum(dim=(1, 2, 3)).mean() / 4.0
             )
             feet = places[:, [7, 8, 10, 11]]
             slide = ((feet[1:] - feet[:-1]) * 10.0).square().sum(dim=-1)
