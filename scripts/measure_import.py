@@ -107,7 +107,7 @@ def main() -> None:
 
         def refit(one: Sources, body: Body = body) -> Fit:
             return fit_body(
-                body, one.points, one.masks, one.intrinsics.K, one.shot.seconds,
+                body, one.points, one.masks or None, one.intrinsics.K, one.shot.seconds,
                 focal_known=one.intrinsics.known, hidden=one.hidden,
             )  # fmt: skip
 

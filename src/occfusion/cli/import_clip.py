@@ -13,13 +13,13 @@ from rich.console import Console
 from occfusion.cli import check
 from occfusion.errors import ConfigError
 from occfusion.fitting.pipeline import Fit, fit_body
+from occfusion.fitting.quality import covered_share
 from occfusion.footage.clip import SIDE
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.importing.adopt import adopt
 from occfusion.importing.bodies import TOOLS
 from occfusion.importing.folder import (
     PERSON,
-    covered_share,
     require_free,
     said,
     training_command,
@@ -158,7 +158,7 @@ def fit_sources(
 
     def fitted(seen: Sources) -> Fit:
         return fit_body(
-            body, seen.points, seen.masks, seen.intrinsics.K, seconds,
+            body, seen.points, seen.masks or None, seen.intrinsics.K, seconds,
             focal_known=seen.intrinsics.known, hidden=seen.hidden, seed=arguments.seed, advance=advance,
         )  # fmt: skip
 
@@ -200,7 +200,11 @@ def finish(
     if failed:
         return failed
     command = training_command(
-        output, len(sources.shot), arguments.body, covered_share(fit), numbered=sources.hidden is not None
+        output,
+        len(sources.shot),
+        arguments.body,
+        covered_share(fit.quality),
+        numbered=sources.hidden is not None,
     )
     console.print(
         f"\nTrain on it; the last fifth of the frames is held out:\n\n{command}",

@@ -85,6 +85,16 @@ def _median(values: Floats) -> float | None:
     return float(np.median(known)) if len(known) else None
 
 
+def covered_share(quality: Quality) -> float | None:
+    """Returns which share of the projected body the masks cover, median over frames; None without masks."""
+    iou, inside = quality.iou, quality.inside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # of IoU i and recall r of the mask: both / shown = 1 / (1 / i - 1 / r + 1)
+        share = 1.0 / (1.0 / iou - 1.0 / inside + 1.0)
+    known = share[np.isfinite(share)]
+    return float(np.median(known)) if len(known) else None
+
+
 def posed(body: Body, solution: Solution) -> Iterator[tuple[Floats, Floats]]:
     """Yields vertices `[V, 3]` and joints `[24, 3]` of each frame, in the camera, metres."""
     betas = torch.tensor(solution.betas, dtype=torch.float32)

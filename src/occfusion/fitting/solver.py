@@ -18,6 +18,7 @@ from torch import Tensor
 from occfusion.errors import DataError
 from occfusion.fitting.anchors import SPREADS, landmark_places
 from occfusion.fitting.batch import BodyBatch, rotations_of, spread_vertices
+from occfusion.fitting.heading import facing, hidden_headings, upright
 from occfusion.fitting.outline import mask_field
 from occfusion.fitting.prior import beyond_limits, mean_pose, unlikely
 from occfusion.fitting.trunk import MIN_CONFIDENCE, TRUNK, flat_turn, heights, trunk_turn
@@ -27,6 +28,8 @@ from occfusion.human import Body
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+NEAR = 2
+"""Frames whose trunk is hidden, up to so far from one that shows it, are started from it alone."""
 POINTS = 900
 """Vertices that stand for the body's outline."""
 
@@ -43,7 +46,6 @@ class Weights:
         limits: of joints beyond their limits.
         smooth: of the accelerations of joints, per decimetre a frame squared, squared.
         turning: of changes of rotations between frames.
-        bending: of changes of joints' bends between frames: who turns shows the same pose from many sides.
         shape: of the shape components.
         feet: of standing feet that move.
         outside: of the body outside of the mask.
@@ -58,7 +60,6 @@ class Weights:
     limits: float = 20.0
     smooth: float = 1.0
     turning: float = 0.3
-    bending: float = 0.0
     shape: float = 0.1
     feet: float = 2.0
     outside: float = 2.0
@@ -193,9 +194,6 @@ class _Fit:
             turns = np.stack([trunk_turn(points.world[k]) for k in frames])
         else:
             turns = np.stack([flat_turn(points, int(k)) for k in frames])
-        rotation = Rotation.from_matrix(turns)
-        inside = np.clip(np.arange(self.count), frames[0], frames[-1])
-        orient = Slerp(frames, rotation)(inside).as_rotvec() if len(frames) > 1 else rotation.as_rotvec()
         focal = self.problem.K[0, 0]
         length = 0.5  # metres between the middles of shoulders and hips
         trunk = points.pixels[frames][:, TRUNK]
@@ -204,8 +202,27 @@ class _Fit:
         depth = focal * length * tilt / np.maximum(seen, 1.0)
         depth = np.median(depth) * (0.3 + 0.7 * np.clip(depth / np.median(depth), 0.6, 1.6))
         hips = trunk[:, 2:].mean(axis=1)
+        every = np.arange(self.count)
+        if len(frames) < self.count:
+            # of frames without a trunk the limbs say heading and place
+            away = np.interp(every, frames, depth)
+            known = {int(k): facing(turn) for k, turn in zip(frames, turns, strict=True)}
+            shape = torch.zeros(self.components)
+            headings, middles = hidden_headings(points, known, focal / away, self.batch, mean_pose(), shape)
+            far = np.abs(every[:, None] - frames).min(axis=1) > NEAR
+            told = np.flatnonzero(np.isfinite(headings) & far)
+            order = np.argsort(np.concatenate([frames, told]))
+            extra = [upright(headings[k]) for k in told]
+            turns = np.concatenate([turns, np.reshape(extra, (-1, 3, 3))])[order]
+            depth, hips = (
+                np.concatenate([depth, away[told]])[order],
+                np.concatenate([hips, middles[told]])[order],
+            )
+            frames = np.concatenate([frames, told])[order]
+        rotation = Rotation.from_matrix(turns)
+        orient = Slerp(frames, rotation)(np.clip(every, frames[0], frames[-1])).as_rotvec()
         place = np.column_stack([(hips - self.problem.K[:2, 2]) / focal * depth[:, None], depth])
-        transl = np.stack([np.interp(np.arange(self.count), frames, place[:, k]) for k in range(3)], axis=1)
+        transl = np.stack([np.interp(every, frames, place[:, k]) for k in range(3)], axis=1)
         pelvis = self.batch.joints_at_rest(torch.zeros(self.components))[0].numpy()
         return _State(
             torch.zeros(self.components),
@@ -262,7 +279,7 @@ class _Fit:
             total = total + w.world * self._in_space(marks)
         total = total + w.pose * unlikely(state.pose).mean() + w.limits * beyond_limits(state.pose).mean()
         total = total + w.shape * (state.betas**2).sum() + w.focal * state.log_focal**2
-        total = total + self._motion(rotations, turns, places)
+        total = total + self._motion(turns, places)
         if "masks" in terms:
             total = total + self._outline(state, turns, places, step)
         return total
@@ -285,7 +302,7 @@ class _Fit:
         squared = (gap**2).sum(dim=-1)
         return (sure[..., 0] * squared / (1 + squared / 4.0)).sum(dim=1).mean()
 
-    def _motion(self, rotations: Tensor, turns: Tensor, places: Tensor) -> Tensor:
+    def _motion(self, turns: Tensor, places: Tensor) -> Tensor:
         w = self.weights
         total = places.new_zeros(())
         if self.count > 2:
@@ -297,11 +314,6 @@ class _Fit:
             total = (
                 total
                 + w.turning * (self.close[:, None, None, None] * change**2).sum(dim=(1, 2, 3)).mean() / 4.0
-            )
-            bend = rotations[1:, 1:] - rotations[:-1, 1:]
-            total = (
-                total
-                + w.bending * (self.close[:, None, None, None] * bend**2).sum(dim=(1, 2, 3)).mean() / 4.0
             )
             feet = places[:, [7, 8, 10, 11]]
             slide = ((feet[1:] - feet[:-1]) * 10.0).square().sum(dim=-1)

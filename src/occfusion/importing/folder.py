@@ -245,14 +245,3 @@ def training_command(
     if numbered:
         parts.append(f"dataset.person={PERSON}")
     return " \\\n    ".join(parts)
-
-
-def covered_share(fit: Fit) -> float | None:
-    """Returns which share of the projected body the masks cover, median over frames; None without masks."""
-    quality = fit.quality
-    iou, inside = quality.iou, quality.inside
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # of IoU i and recall r of the mask: both / shown = 1 / (1 / i - 1 / r + 1)
-        share = 1.0 / (1.0 / iou - 1.0 / inside + 1.0)
-    known = share[np.isfinite(share)]
-    return float(np.median(known)) if len(known) else None

@@ -7,9 +7,13 @@ from dataclasses import replace
 
 from occfusion.fitting.occluders import found_occluders
 from occfusion.fitting.pipeline import Fit
+from occfusion.fitting.quality import covered_share
 from occfusion.footage.people import ranges
 from occfusion.human import Body
 from occfusion.importing.sources import Sources
+
+SUSPECT = 0.8
+"""Share of the body that the masks cover, median, below which something is taken to hide it, to be looked for."""
 
 
 def told_apart(
@@ -23,11 +27,16 @@ def told_apart(
         body: that was fitted.
         sources: what it was fitted to.
         fit: the first fit, which takes what is hidden for background.
-        refit: fits to sources.
+        refit: fits to sources; to key points alone where there are no masks.
     """
     if sources.hidden is not None:
         return sources, fit
     hidden = found_occluders(body, fit.solution, sources.masks)
+    if hidden is None and (covered_share(fit.quality) or 1.0) > SUSPECT:
+        return sources, fit
+    # the first fit was pushed out of what hides the person: key points alone say where the body goes on
+    free = refit(replace(sources, masks=[]))
+    hidden = found_occluders(body, free.solution, sources.masks)
     if hidden is None:
         return sources, fit
     frames = [sources.shot.numbers[k] for k, mask in enumerate(hidden) if mask.any()]
