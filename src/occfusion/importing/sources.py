@@ -29,7 +29,7 @@ Advance = Callable[[str], None]
 FEWEST = 8
 """An avatar needs more than a few moments."""
 BLOCK, UNMOVED = 8, 12
-"""Pixels, a side, whose mean colours are compared, and levels of 255 by which they differ in a still picture's video."""
+"""Pixels, a side, whose mean colours are compared; levels of 255 by which they differ where nothing moves."""
 AROUND = 0.3
 """Margin about a given mask, of its extent, within which its person's key points are looked for."""
 
