@@ -99,7 +99,7 @@ def views_around(view: np.ndarray) -> list[np.ndarray]:
     return out
 
 
-@torch.inference_mode()
+@torch.no_grad()
 def from_around(
     run: Path, folder: Path, scene: Scene, truth: dict[str, np.ndarray], frames: list[int], side: int
 ) -> dict[str, float]:
