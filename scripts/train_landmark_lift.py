@@ -29,7 +29,7 @@ from occfusion.synth.scene import Scene
 from occfusion.synth.spec import SceneSpec
 from occfusion.synth.studio import Y_UP_TO_Z_UP
 
-SUBJECTS, MIXED_FROM, FRAMES, STEP = range(20, 100), 32, 100, 2
+SUBJECTS, MIXED_FROM, FRAMES = range(20, 100), 32, 100
 HIDDEN, EPOCHS, BATCH, RATE = 128, 60, 128, 2e-3
 ROLL, NOISE = 0.15, 0.01  # radians; metres, and shares of the person's size
 
@@ -49,7 +49,7 @@ def person(subject: int) -> dict[str, np.ndarray]:
     turn = view[:3, :3] @ Y_UP_TO_Z_UP
     quaternion = plain.quaternion_of(turn)
     rows, pictures = [], []
-    for frame, pose in list(enumerate(poses))[::STEP]:
+    for frame, pose in enumerate(poses):
         root = plain.multiply(quaternion, plain.quaternion_from_axis_angle(pose[:3]))
         move = bone_transforms(pose, at_rest, body.parents)[0]
         pelvis = (move[:3, :3] @ at_rest[0] + move[:3, 3] + scene.take.transl[frame]) @ turn.T + view[:3, 3]
@@ -59,7 +59,7 @@ def person(subject: int) -> dict[str, np.ndarray]:
             ".jpg", np.clip(picture, 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 80]
         )[1]
         pictures.append(np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR)))
-    points = follow(pictures, range(len(pictures))).keypoints()
+    points = follow(pictures, range(FRAMES)).keypoints()
     table = torch.tensor(np.stack(rows), dtype=torch.float32)
     batch = BodyBatch(embedded_body(), np.zeros(1, dtype=np.int64))
     betas = torch.tensor(scene.subject.betas, dtype=torch.float32)
