@@ -2,8 +2,11 @@
 
     python scripts/render_plain_clip.py 101 --output clips/101            # 100 frames, 1280 x 720
     python scripts/render_plain_clip.py 101 --bar 0.5 --output clips/101b # half hidden in 80 % of the frames
+    python scripts/render_plain_clip.py 2 --mixed --output clips/002m     # poses that no recording has
+    python scripts/render_plain_clip.py 101 --pan 12 --output clips/101p  # the camera turns to and fro
 
-Writes `clip.mp4`, and `truth.npz`: `joints` N x 24 x 3 (camera, metres), `K`, `betas`, `poses`, `transl` (camera);
+Writes `clip.mp4`, and `truth.npz`: `joints` N x 24 x 3 (camera, metres), `K`, `betas`, `poses`, `transl` (camera),
+`bars` N x 2, the columns of the bar;
 `masks/` the visible person, `whole/` the whole one.
 """
 
@@ -19,6 +22,7 @@ from occfusion.files.atomic import atomic_write, write_png
 from occfusion.files.video import write_frames
 from occfusion.synth.disturb import person_mask
 from occfusion.synth.fullbody import bone_transforms, load_model_body
+from occfusion.synth.motion import smooth_noise
 from occfusion.synth.rotations import (
     axis_angle_from_quaternion,
     matrix_from_axis_angle,
@@ -33,6 +37,24 @@ from occfusion.synth.studio import Y_UP_TO_Z_UP
 WIDTH, HEIGHT, FPS = 1280, 720, 10.0
 FOCAL = 1024.0
 AWAY, LENS, AIM = 3.3, 1.35, 0.95  # metres
+ARMS, LEGS = [13, 14, 16, 17, 18, 19, 20, 21], [1, 2, 4, 5, 7, 8]
+DISTURBED = [1, 2, 3, 4, 5, 6, 9, 12, 15, 16, 17, 18, 19, 20, 21]
+KNEES = [3 * 4, 3 * 5]
+PAN_FRAMES = 50  # of a camera's turn to and fro
+
+
+def mix(poses: np.ndarray, rng: np.random.Generator) -> None:
+    """Moves arms and legs as at other times of a take, and disturbs joints: poses `[T, 72]`, in place."""
+    count = len(poses)
+    for joints in (ARMS, LEGS):
+        poses[:, _numbers(joints)] = np.roll(poses, int(rng.integers(count)), 0)[:, _numbers(joints)]
+    noise = smooth_noise(rng, count, 3 * len(DISTURBED), 8.0)
+    poses[:, _numbers(DISTURBED)] += rng.uniform(0.1, 0.35) * noise
+    poses[:, KNEES] = np.abs(poses[:, KNEES])
+
+
+def _numbers(joints: list[int]) -> list[int]:
+    return [3 * joint + axis for joint in joints for axis in range(3)]
 
 
 def camera() -> tuple[np.ndarray, np.ndarray]:
@@ -80,18 +102,25 @@ def main() -> None:
     parser.add_argument(
         "--bar", type=float, default=0.0, help="share of the person's width behind a fixed bar"
     )
+    parser.add_argument("--mixed", action="store_true", help="poses that no recording has")
+    parser.add_argument("--pan", type=float, default=0.0, help="degrees by which the camera turns to and fro")
     parser.add_argument("--output", type=Path, required=True)
     arguments = parser.parse_args()
     scene = Scene(SceneSpec(arguments.subject, "hard", frames=arguments.frames, cameras=1, image_size=720))
+    if arguments.mixed:
+        mix(scene.take.poses, np.random.default_rng([7, arguments.subject]))
     K, view = camera()
     room = background(arguments.subject)
     body = load_model_body()
     rest = body.template + body.shapedirs @ scene.subject.betas
     at_rest = body.regressor @ rest
-    turn = view[:3, :3] @ Y_UP_TO_Z_UP
-    quaternion = quaternion_of(turn)
-    joints, poses, transl, pictures = [], [], [], []
+    still, room_ahead = view, room
+    joints, poses, transl, pictures, bars = [], [], [], [], []
     for frame in range(arguments.frames):
+        if arguments.pan:
+            view, room = panned(still, room_ahead, K, arguments.pan * np.sin(2 * np.pi * frame / PAN_FRAMES))
+        turn = view[:3, :3] @ Y_UP_TO_Z_UP
+        quaternion = quaternion_of(turn)
         pose = scene.take.poses[frame]
         transforms = bone_transforms(pose, at_rest, body.parents)
         world = (
@@ -105,20 +134,33 @@ def main() -> None:
         transl.append(joints[-1][0] - at_rest[0])
         picture, mask = shot(scene, frame, K, view, room)
         write_png(arguments.output / "whole" / f"{frame:06d}.png", mask)
+        bars.append((0, 0))
         if arguments.bar and frame < 0.8 * arguments.frames:
             columns = np.flatnonzero(mask.any(axis=0))
             wide = arguments.bar * (columns[-1] - columns[0])
             x0 = int((columns[-1] + columns[0]) / 2 - wide / 2)
-            picture[:, x0 : x0 + int(wide)] = room[:, :1] * 0.6
-            mask[:, x0 : x0 + int(wide)] = False
+            bars[-1] = (x0, x0 + int(wide))
+            picture[:, slice(*bars[-1])] = room[:, :1] * 0.6
+            mask[:, slice(*bars[-1])] = False
         write_png(arguments.output / "masks" / f"{frame:06d}.png", mask)
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
     write_frames(arguments.output / "clip.mp4", pictures, FPS)
     with atomic_write(arguments.output / "truth.npz") as stream:
         np.savez(
             stream, joints=np.stack(joints), K=K, betas=scene.subject.betas, poses=np.stack(poses),
-            transl=np.stack(transl),
+            transl=np.stack(transl), bars=np.array(bars),
         )  # fmt: skip
+
+
+def panned(
+    view: np.ndarray, room: np.ndarray, K: np.ndarray, degrees: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns world to camera, and the room, of a camera turned about its own upright axis."""
+    turn = cv2.Rodrigues(np.array([0.0, np.radians(degrees), 0.0]))[0]
+    out = view.copy()
+    out[:3] = turn @ view[:3]
+    flags = {"flags": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REFLECT}
+    return out, np.asarray(cv2.warpPerspective(room, K @ turn @ np.linalg.inv(K), (WIDTH, HEIGHT), **flags))
 
 
 def quaternion_of(matrix: np.ndarray) -> np.ndarray:

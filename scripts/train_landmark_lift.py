@@ -25,21 +25,13 @@ from occfusion.footage.lift import ASSET, HIPS, MOST, WORLD_SCALE, from_hips, in
 from occfusion.footage.people import follow
 from occfusion.human import embedded_body
 from occfusion.synth.fullbody import bone_transforms, load_model_body
-from occfusion.synth.motion import smooth_noise
 from occfusion.synth.scene import Scene
 from occfusion.synth.spec import SceneSpec
 from occfusion.synth.studio import Y_UP_TO_Z_UP
 
 SUBJECTS, MIXED_FROM, FRAMES = range(20, 100), 32, 100
-ARMS, LEGS = [13, 14, 16, 17, 18, 19, 20, 21], [1, 2, 4, 5, 7, 8]
-DISTURBED = [1, 2, 3, 4, 5, 6, 9, 12, 15, 16, 17, 18, 19, 20, 21]
-KNEES = [3 * 4, 3 * 5]
 HIDDEN, EPOCHS, BATCH, RATE = 128, 60, 128, 2e-3
 ROLL, NOISE = 0.15, 0.01  # radians; metres, and shares of the person's size
-
-
-def numbers(joints: list[int]) -> list[int]:
-    return [3 * joint + axis for joint in joints for axis in range(3)]
 
 
 def person(subject: int) -> dict[str, np.ndarray]:
@@ -50,11 +42,7 @@ def person(subject: int) -> dict[str, np.ndarray]:
     scene = Scene(SceneSpec(subject, "hard", frames=FRAMES, cameras=1, image_size=720))
     poses = scene.take.poses
     if subject >= MIXED_FROM:
-        for joints in (ARMS, LEGS):
-            poses[:, numbers(joints)] = np.roll(poses, int(rng.integers(FRAMES)), 0)[:, numbers(joints)]
-        noise = smooth_noise(rng, FRAMES, 3 * len(DISTURBED), 8.0)
-        poses[:, numbers(DISTURBED)] += rng.uniform(0.1, 0.35) * noise
-        poses[:, KNEES] = np.abs(poses[:, KNEES])
+        plain.mix(poses, rng)
     K, view = plain.camera()
     room, body = plain.background(subject), load_model_body()
     at_rest = body.regressor @ (body.template + body.shapedirs @ scene.subject.betas)

@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     body = embedded_body() if arguments.body is None else load_body(arguments.body)
     with Progress(console) as progress:
         sources = gather(clip, choice_of(arguments), given, trimmed=False, advance=progress)
-        fit = fit_sources(body, sources, arguments.seed, progress)
+        sources, fit = fit_sources(body, sources, arguments, progress)
     facts = {"clip": clip.name, "seconds": round(time.perf_counter() - begun, 1)}
     write_bodies(output, sources, fit, body, embedded=arguments.body is None, facts=facts)
     console.print(said(output, "fit.txt"), highlight=False, soft_wrap=True, markup=False)

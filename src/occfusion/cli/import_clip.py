@@ -13,18 +13,19 @@ from rich.console import Console
 from occfusion.cli import check
 from occfusion.errors import ConfigError
 from occfusion.fitting.pipeline import Fit, fit_body
+from occfusion.fitting.quality import covered_share
 from occfusion.footage.clip import SIDE
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.importing.adopt import adopt
 from occfusion.importing.bodies import TOOLS
 from occfusion.importing.folder import (
     PERSON,
-    covered_share,
     require_free,
     said,
     training_command,
     write_folder,
 )
+from occfusion.importing.hiding import told_apart
 from occfusion.importing.mhr import is_mhr
 from occfusion.importing.sources import Choice, Given, Sources, gather
 
@@ -60,7 +61,13 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
         help="masks of another tool: a folder of pictures, SAM 2's folder, COCO's .json, a video of mattes",
     )  # fmt: skip
     parser.add_argument("--masks-person", type=int, help="the person's number where masks number several")
-    parser.add_argument("--occluder", type=Path, help="masks of what stands before the person")
+    parser.add_argument(
+        "--occluder", type=Path,
+        help="masks of what stands before the person (default: found where the mask ends inside of the body)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--no-occluder", action="store_true", help="nothing stands before the person: look for nothing"
+    )
     parser.add_argument(
         "--camera",
         type=Path,
@@ -109,6 +116,8 @@ def given_of(arguments: argparse.Namespace) -> Given:
     Raises:
         ConfigError: two answers to the same question.
     """
+    if arguments.occluder is not None and arguments.no_occluder:
+        raise ConfigError("--occluder and --no-occluder: give one of them.")
     if arguments.camera is not None and arguments.focal is not None:
         raise ConfigError("--camera and --focal: give one of them.")
     return Given(
@@ -129,7 +138,7 @@ def run(arguments: argparse.Namespace) -> int:
         sources = gather(arguments.clip, choice_of(arguments), given, advance=progress)
         body = embedded_body() if arguments.body is None else load_body(arguments.body)
         if file is None:
-            fit = fit_sources(body, sources, arguments.seed, progress)
+            sources, fit = fit_sources(body, sources, arguments, progress)
         else:
             tool = arguments.given[0] if len(arguments.given) == 2 else None
             sources, fit = adopt(
@@ -139,15 +148,22 @@ def run(arguments: argparse.Namespace) -> int:
     return finish(console, arguments, sources, fit, body, begun)
 
 
-def fit_sources(body: Body, sources: Sources, seed: int, advance: Callable[[str], None]) -> Fit:
-    """Returns the body fitted to what was gathered."""
+def fit_sources(
+    body: Body, sources: Sources, arguments: argparse.Namespace, advance: Callable[[str], None]
+) -> tuple[Sources, Fit]:
+    """Returns the body fitted to what was gathered, which is told apart from what stands before the person."""
     seconds = sources.shot.seconds
     if sources.clip.pictures:  # a folder has no clock: its frames are taken for a tenth of a second apart
         seconds = [0.1 * second for second in seconds]
-    return fit_body(
-        body, sources.points, sources.masks, sources.intrinsics.K, seconds,
-        focal_known=sources.intrinsics.known, hidden=sources.hidden, seed=seed, advance=advance,
-    )  # fmt: skip
+
+    def fitted(seen: Sources) -> Fit:
+        return fit_body(
+            body, seen.points, seen.masks or None, seen.intrinsics.K, seconds,
+            focal_known=seen.intrinsics.known, hidden=seen.hidden, seed=arguments.seed, advance=advance,
+        )  # fmt: skip
+
+    fit = fitted(sources)
+    return (sources, fit) if arguments.no_occluder else told_apart(body, sources, fit, fitted)
 
 
 def finish(
@@ -184,7 +200,11 @@ def finish(
     if failed:
         return failed
     command = training_command(
-        output, len(sources.shot), arguments.body, covered_share(fit), numbered=sources.hidden is not None
+        output,
+        len(sources.shot),
+        arguments.body,
+        covered_share(fit.quality),
+        numbered=sources.hidden is not None,
     )
     console.print(
         f"\nTrain on it; the last fifth of the frames is held out:\n\n{command}",

@@ -85,6 +85,16 @@ def _median(values: Floats) -> float | None:
     return float(np.median(known)) if len(known) else None
 
 
+def covered_share(quality: Quality) -> float | None:
+    """Returns which share of the projected body the masks cover, median over frames; None without masks."""
+    iou, inside = quality.iou, quality.inside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # of IoU i and recall r of the mask: both / shown = 1 / (1 / i - 1 / r + 1)
+        share = 1.0 / (1.0 / iou - 1.0 / inside + 1.0)
+    known = share[np.isfinite(share)]
+    return float(np.median(known)) if len(known) else None
+
+
 def posed(body: Body, solution: Solution) -> Iterator[tuple[Floats, Floats]]:
     """Yields vertices `[V, 3]` and joints `[24, 3]` of each frame, in the camera, metres."""
     betas = torch.tensor(solution.betas, dtype=torch.float32)
@@ -140,9 +150,9 @@ def measure(
             if not masks[k].any():
                 continue
             shown = silhouette(vertices, K, faces, masks[k].shape)
-            mask = _preview(masks[k], shown.shape)
+            mask = preview(masks[k], shown.shape)
             if hidden is not None and hidden[k].any():
-                cover = _preview(hidden[k], shown.shape)
+                cover = preview(hidden[k], shown.shape)
                 partial[k] = (shown & cover).sum() > 0.05 * shown.sum()
                 shown = shown & ~cover
             both = float((shown & mask).sum())
@@ -153,7 +163,8 @@ def measure(
     return Quality(pixels, iou, inside, partial)
 
 
-def _preview(mask: Mask, shape: tuple[int, ...]) -> Mask:
+def preview(mask: Mask, shape: tuple[int, ...]) -> Mask:
+    """Returns a mask made smaller, `shape`: where at least half of a pixel is in it."""
     small = cv2.resize(mask.astype(np.uint8) * 255, shape[::-1], interpolation=cv2.INTER_AREA)
     return np.asarray(small >= 128)
 

@@ -18,6 +18,7 @@ from torch import Tensor
 from occfusion.errors import DataError
 from occfusion.fitting.anchors import SPREADS, landmark_places
 from occfusion.fitting.batch import BodyBatch, rotations_of, spread_vertices
+from occfusion.fitting.heading import facing, hidden_headings, upright
 from occfusion.fitting.outline import mask_field
 from occfusion.fitting.prior import beyond_limits, mean_pose, unlikely
 from occfusion.fitting.trunk import MIN_CONFIDENCE, TRUNK, flat_turn, heights, trunk_turn
@@ -27,6 +28,8 @@ from occfusion.human import Body
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+NEAR = 2
+"""Frames whose trunk is hidden, up to so far from one that shows it, are started from it alone."""
 POINTS = 900
 """Vertices that stand for the body's outline."""
 
@@ -191,9 +194,6 @@ class _Fit:
             turns = np.stack([trunk_turn(points.world[k]) for k in frames])
         else:
             turns = np.stack([flat_turn(points, int(k)) for k in frames])
-        rotation = Rotation.from_matrix(turns)
-        inside = np.clip(np.arange(self.count), frames[0], frames[-1])
-        orient = Slerp(frames, rotation)(inside).as_rotvec() if len(frames) > 1 else rotation.as_rotvec()
         focal = self.problem.K[0, 0]
         length = 0.5  # metres between the middles of shoulders and hips
         trunk = points.pixels[frames][:, TRUNK]
@@ -202,8 +202,27 @@ class _Fit:
         depth = focal * length * tilt / np.maximum(seen, 1.0)
         depth = np.median(depth) * (0.3 + 0.7 * np.clip(depth / np.median(depth), 0.6, 1.6))
         hips = trunk[:, 2:].mean(axis=1)
+        every = np.arange(self.count)
+        if len(frames) < self.count:
+            # of frames without a trunk the limbs say heading and place
+            away = np.interp(every, frames, depth)
+            known = {int(k): facing(turn) for k, turn in zip(frames, turns, strict=True)}
+            shape = torch.zeros(self.components)
+            headings, middles = hidden_headings(points, known, focal / away, self.batch, mean_pose(), shape)
+            far = np.abs(every[:, None] - frames).min(axis=1) > NEAR
+            told = np.flatnonzero(np.isfinite(headings) & far)
+            order = np.argsort(np.concatenate([frames, told]))
+            extra = [upright(headings[k]) for k in told]
+            turns = np.concatenate([turns, np.reshape(extra, (-1, 3, 3))])[order]
+            depth, hips = (
+                np.concatenate([depth, away[told]])[order],
+                np.concatenate([hips, middles[told]])[order],
+            )
+            frames = np.concatenate([frames, told])[order]
+        rotation = Rotation.from_matrix(turns)
+        orient = Slerp(frames, rotation)(np.clip(every, frames[0], frames[-1])).as_rotvec()
         place = np.column_stack([(hips - self.problem.K[:2, 2]) / focal * depth[:, None], depth])
-        transl = np.stack([np.interp(np.arange(self.count), frames, place[:, k]) for k in range(3)], axis=1)
+        transl = np.stack([np.interp(every, frames, place[:, k]) for k in range(3)], axis=1)
         pelvis = self.batch.joints_at_rest(torch.zeros(self.components))[0].numpy()
         return _State(
             torch.zeros(self.components),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -236,8 +237,9 @@ def training_command(
     """Returns the command that trains on a folder, the last frames held out."""
     cut = max(1, round((1 - HELD_OUT) * frames))
     parts = [
-        f"python train.py dataset=video dataset.root={output.parent} dataset.scene={output.name}",
-        "body=anny" if body is None else f"body.path={body}",
+        f"python train.py dataset=video {quote(f'dataset.root={output.parent}')} "
+        f"{quote(f'dataset.scene={output.name}')}",
+        "body=anny" if body is None else quote(f"body.path={body}"),
         f"'dataset.test_cameras=[0]' 'dataset.train_frames=[0,{cut},1]' 'dataset.test_frames=[{cut},{frames},1]'",
     ]
     if covered is not None and covered >= COVERED:
@@ -245,14 +247,3 @@ def training_command(
     if numbered:
         parts.append(f"dataset.person={PERSON}")
     return " \\\n    ".join(parts)
-
-
-def covered_share(fit: Fit) -> float | None:
-    """Returns which share of the projected body the masks cover, median over frames; None without masks."""
-    quality = fit.quality
-    iou, inside = quality.iou, quality.inside
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # of IoU i and recall r of the mask: both / shown = 1 / (1 / i - 1 / r + 1)
-        share = 1.0 / (1.0 / iou - 1.0 / inside + 1.0)
-    known = share[np.isfinite(share)]
-    return float(np.median(known)) if len(known) else None

@@ -28,6 +28,8 @@ Advance = Callable[[str], None]
 
 FEWEST = 8
 """An avatar needs more than a few moments."""
+BLOCK, UNMOVED = 8, 12
+"""Pixels, a side, whose mean colours are compared; levels of 255 by which they differ where nothing moves."""
 AROUND = 0.3
 """Margin about a given mask, of its extent, within which its person's key points are looked for."""
 
@@ -140,16 +142,25 @@ def read_pictures(path: Path | str, choice: Choice) -> tuple[Clip, Shot]:
             f"{clip.path}: new shots begin at frame {at}; one shot is one fit. The longest: "
             f"--start {longest[0]} --stop {longest[1]}."
         )
-    if np.abs(shot.pictures[0].astype(np.int16) - shot.pictures[-1]).max() < 3 and _still(shot.pictures):
+    if still(shot.pictures):
         raise DataError(f"{clip.path}: all frames show the same still picture; nothing moves.")
     if choice.frames is not None and frames is None:
         shot = shot.at(chosen(shot.pictures, choice.frames, choice.way))
     return clip, shot
 
 
-def _still(pictures: Sequence[NDArray[np.uint8]]) -> bool:
-    first = pictures[0].astype(np.int16)
-    return all(np.abs(picture - first).max() < 3 for picture in pictures)
+def still(pictures: Sequence[NDArray[np.uint8]]) -> bool:
+    """Whether pictures show the same but for what compression does to them."""
+
+    def small(picture: NDArray[np.uint8]) -> NDArray[np.int16]:
+        scale = 1 / BLOCK
+        return np.asarray(
+            cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.int16
+        )
+
+    first = small(pictures[0])
+    # the last is most unlike where anything moves
+    return all(np.abs(small(other) - first).max() < UNMOVED for other in reversed(pictures))
 
 
 def gather(
