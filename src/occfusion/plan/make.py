@@ -78,15 +78,15 @@ class Plan:
 TOLD = (
     "camera correction",
     "completed colours",
-    "complete masks",
     "pose alignment",
+    "complete masks",
     "pose refinement",
     "key light",
     "surface prior",
     "densification in the refinement",
 )
 """Parts whose decision a user wants to see at once; `plan.json` has them all."""
-TOLD_IF_NOT = TOLD[2:]
+TOLD_IF_NOT = TOLD[3:]
 """Those of them that are told also where they are not used."""
 
 NO_SURFACE = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0, hold=False)

@@ -338,7 +338,13 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         renderer=observed.renderer,
     )
     masks = MaskCompletion(
-        settings, folder, observed.data, observed.data_hash, frames, observed.renderer.device
+        settings,
+        folder,
+        observed.data,
+        observed.data_hash,
+        frames,
+        observed.renderer.device,
+        settings.optim.pose_knots if observed.alignment is not None else 0,
     )
     known: dict[str, RunStage] = {"init": masks, "optim": Optimisation(shared), "refine": Refinement(shared)}
     return Run(
