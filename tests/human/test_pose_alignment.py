@@ -14,6 +14,7 @@ from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human import Avatar, Body, PoseSpline, embedded_body, load_avatar, save_avatar
 from occfusion.observation import pose_alignment
+from occfusion.observation.outline_system import OutlineSystem
 from occfusion.observation.pose_alignment import GROUPS, Aligner, align_poses, aligned_pose, spline_weights
 from occfusion.observation.pose_witness import Look, _Figure, observe_outline
 from occfusion.types import Camera, Pose
@@ -165,16 +166,13 @@ def test_the_system_is_solved_as_stacked_least_squares(
         for k, look in enumerate(aligner._looks)
         if (w := observe_outline(whole_body, look, aligner.correction(k), 0.08))
     ]
-    system = pose_alignment._System(seen, aligner._weights, aligner._patch, aligner.values, 0.01)
+    system = OutlineSystem(seen, aligner._weights, aligner._patch, aligner.values, False)
     system.weigh()
     rng = np.random.default_rng(0)
     precision = np.concatenate([rng.uniform(1e2, 1e4, system.count), system.fixed_precision])
     solution, variance = system.solve(precision)
     rows = np.concatenate(
-        [
-            np.concatenate([np.kron(aligner._weights[k], w.turns), system._rows(w)], axis=1)
-            for k, w in seen
-        ]
+        [np.concatenate([np.kron(aligner._weights[k], w.turns), system._rows(w)], axis=1) for k, w in seen]
     )
     root = np.sqrt(system.row_weights)
     stacked = np.concatenate([rows * root[:, None], np.diag(np.sqrt(precision))])

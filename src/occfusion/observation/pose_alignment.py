@@ -20,26 +20,19 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.linalg.lapack import dpotri
 from scipy.spatial import cKDTree
 
 from occfusion.geometry.rotation import matrix_to_quaternion
 from occfusion.human.body import Body
 from occfusion.human.pose_spline import PoseSpline
-from occfusion.observation.pose_witness import POSE_COLUMNS, REACH, Look, Witness, observe_outline
+from occfusion.observation.outline_system import OutlineSystem
+from occfusion.observation.pose_witness import POSE_COLUMNS, REACH, Look, misfits, observe_outline
 from occfusion.types import Pose
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PATCHES = 300
-STANDS_OFF, MEAN_STANDS_OFF = 0.015, 0.02
-"""Metres: of a place of the body, and of all of it."""
-SHAPE = 0.5
-"""Standard deviations of the shape."""
-SHIFT, SCALE = 0.01, 0.02
-"""Of the person's size, and of the focal length: by how much the pictures lie off the cameras."""
 GROUPS: dict[str, tuple[int, ...]] = {
     "root": (0,), "trunk": (3, 6, 9, 12, 13, 14), "head": (15,), "hips": (1, 2), "knees": (4, 5),
     "feet": (7, 8, 10, 11), "shoulders": (16, 17), "elbows": (18, 19), "hands": (20, 21, 22, 23),
@@ -49,11 +42,9 @@ FIRST_TURN, FIRST_PLACE = 0.03, 0.01
 """Radians and metres: spreads that the search begins with."""
 LEAST_TURN, LEAST_PLACE = 1e-4, 1e-4
 """Spreads below which nothing is told from nothing."""
-NOISE = 0.2
-"""Pixels, at least: the staircase of a binary mask."""
-CORRELATED = 3.0
-"""Neighbouring pixels of an outline err alike: at least so many count as one."""
-BIWEIGHT = 4.7
+MOST_TURN, MOST_PLACE = 0.06, 0.04
+"""Spreads that no estimator exceeds whose poses are of any use. Of somebody who does not turn, a pose that is off
+throughout and clothes that stand off can explain each other without end."""
 ROUNDS, SETTLING, EVIDENCE_STEPS = 3, 2, 2
 """Looks at outlines with shift and scale of the pictures unknown, then without; estimates of the spreads in each."""
 CERTAIN = 5.0
@@ -61,6 +52,8 @@ CERTAIN = 5.0
 FULL_TURN, FULL_PLACE = 0.02, 0.01
 """Radians and metres: spreads from which on training may move poses as fast as its rates say."""
 MOST_KNOTS = 60
+AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Of the correction, that are tried on frames that it was not found by."""
 LEAST_FRAMES = 10
 
 
@@ -72,6 +65,8 @@ class Alignment:
         turns: of the spline's knots, `[K, 24, 3]`, radians.
         places: `[K, 3]`, metres.
         spreads: standard deviation of what each group of joints, and the place, is off: radians, metres.
+        amount: of what outlines ask for, that is taken: with it bodies fit the masks of frames best that it was not
+            found by.
         told: share of each turn that outlines tell, `[K, 24, 3]`, 0 to 1.
         first: of the spline.
         spacing: of the spline.
@@ -85,6 +80,7 @@ class Alignment:
     turns: Floats
     places: Floats
     spreads: dict[str, float]
+    amount: float
     told: Floats
     first: float
     spacing: float
@@ -105,8 +101,8 @@ class Alignment:
         for number, joints in enumerate(GROUPS.values()):
             group[list(joints)] = number
         spreads = np.array(list(self.spreads.values()))
-        reach = self.told * np.minimum(1.0, spreads[group] / FULL_TURN)[:, None]
-        place = np.full(self.places.shape, min(1.0, spreads[-1] / FULL_PLACE))
+        reach = self.amount * self.told * np.minimum(1.0, spreads[group] / FULL_TURN)[:, None]
+        place = np.full(self.places.shape, self.amount * min(1.0, spreads[-1] / FULL_PLACE))
         made.start_at(*(torch.from_numpy(part).float() for part in (self.turns, self.places, reach, place)))
         return made
 
@@ -116,7 +112,7 @@ class Alignment:
         return (
             f"outlines lie {self.before:.2f} px off the poses as given and {self.noise:.2f} px off the aligned ones; "
             f"joints are off by {np.degrees(np.median(turns)):.1f} degrees, the place by "
-            f"{1000 * self.spreads['place']:.0f} mm"
+            f"{1000 * self.spreads['place']:.0f} mm. Frames left out of the search fit best with {self.amount:g} of it"
         )
 
 
@@ -168,18 +164,25 @@ class Aligner:
 
     def run(self) -> Alignment | None:
         """Returns the alignment; None where outlines tell too little."""
-        picture, picture_error = np.zeros(3), np.ones(3)
-        for number in range(ROUNDS + SETTLING):
-            settling = self._registered or number >= ROUNDS
-            if not self._step(2.0 * REACH if number == 0 else REACH, None if settling else SHIFT):
+        picture, picture_error, everyone = np.zeros(3), np.ones(3), range(len(self._looks))
+        for number in range(ROUNDS):
+            reach = 2.0 * REACH if number == 0 else REACH
+            if not self._step(everyone, reach, self._registered):
                 return None
-            if not settling:
+            if not self._registered:
                 picture, picture_error = self._picture
+        if not self._step(everyone[::2], REACH, True):
+            return None
+        amount = self._best_amount(everyone[1::2])
+        for _ in range(SETTLING):
+            if not self._step(everyone, REACH, True):
+                return None
         told = np.clip(1.0 - self._variance / self.spreads[self._group] ** 2, 0.0, 1.0)
         return Alignment(
-            turns=self.values[:, :72].reshape(-1, 24, 3),
-            places=self.values[:, 72:],
+            turns=amount * self.values[:, :72].reshape(-1, 24, 3),
+            places=amount * self.values[:, 72:],
             spreads=dict(zip((*GROUPS, "place"), self.spreads.tolist(), strict=True)),
+            amount=amount,
             told=told.reshape(self._knots, POSE_COLUMNS)[:, :72].reshape(-1, 24, 3),
             first=self._spline.first,
             spacing=self._spline.spacing,
@@ -194,14 +197,24 @@ class Aligner:
         value = self._weights[position] @ self.values
         return value[:72].reshape(24, 3), value[72:]
 
-    def _step(self, reach: float, shift: float | None) -> bool:
-        found = [
-            observe_outline(self._body, look, self.correction(k), reach) for k, look in enumerate(self._looks)
+    def _best_amount(self, positions: Sequence[int]) -> float:
+        """Returns how much of the correction fits the masks of frames best that it was not found by."""
+        errors = [
+            misfits(
+                self._body, self._looks[k], [tuple(a * part for part in self.correction(k)) for a in AMOUNTS]
+            )
+            for k in positions
         ]
-        seen = [(k, witness) for k, witness in enumerate(found) if witness is not None]
-        if len(seen) < LEAST_FRAMES:
+        return AMOUNTS[int(np.mean(errors, axis=0).argmin())]
+
+    def _step(self, positions: Sequence[int], reach: float, registered: bool) -> bool:
+        found = [
+            (k, observe_outline(self._body, self._looks[k], self.correction(k), reach)) for k in positions
+        ]
+        seen = [(k, witness) for k, witness in found if witness is not None]
+        if len(seen) < min(LEAST_FRAMES, len(positions)):
             return False
-        system = _System(seen, self._weights, self._patch, self.values, shift)
+        system = OutlineSystem(seen, self._weights, self._patch, self.values, registered)
         if not self.before:
             self.before = 1.4826 * float(np.median(np.abs(system.offsets)))
         precision = np.concatenate([self.spreads[self._group] ** -2.0, system.fixed_precision])
@@ -226,126 +239,11 @@ class Aligner:
             own = self._group == number
             told = float((1.0 - variance[own] / self.spreads[number] ** 2).clip(0.0, 1.0).sum())
             spread = np.sqrt(float((values[own] ** 2).sum()) / max(told, 1e-3))
-            least = LEAST_PLACE if number == len(GROUPS) else LEAST_TURN
+            is_place = number == len(GROUPS)
+            least, most = (LEAST_PLACE, MOST_PLACE) if is_place else (LEAST_TURN, MOST_TURN)
             # a step of MacKay's may leap: by a factor of four at most
-            self.spreads[number] = max(
-                least, np.clip(spread, 0.25 * self.spreads[number], 4.0 * self.spreads[number])
-            )
-
-
-class _System:
-    """All outlines of the sequence as one linear system of knots and of what is alike in all frames."""
-
-    def __init__(
-        self,
-        seen: Sequence[tuple[int, Witness]],
-        weights: Floats,
-        patch: Ints,
-        values: Floats,
-        shift: float | None,
-    ) -> None:
-        self._seen, self._spline_weights, self._patch = seen, weights, patch
-        self.knots = len(values)
-        self.count = self.knots * POSE_COLUMNS
-        self.offsets = np.concatenate([w.offsets for _, w in seen])
-        self._ends = np.cumsum([0] + [len(w.offsets) for _, w in seen])
-        size = float(np.median([w.size for _, w in seen]))
-        shapes, patches = seen[0][1].shape.shape[1], int(patch.max()) + 1
-        self.per_metre = float(np.median(np.concatenate([w.per_metre for _, w in seen])))
-        self.focal = seen[0][1].focal
-        spread = np.array([1e-6, 1e-6, 1e-6] if shift is None else [shift * size, shift * size, SCALE])
-        self.fixed_precision = np.concatenate(
-            [
-                spread**-2.0,
-                np.full(shapes, SHAPE**-2.0),
-                [MEAN_STANDS_OFF**-2.0],
-                np.full(patches, STANDS_OFF**-2.0),
-            ]
-        )
-        self._extra = len(self.fixed_precision)
-        # what outlines would say of the poses as given
-        self._targets = self.offsets.copy()
-        for n, (k, w) in enumerate(seen):
-            self._targets[self._ends[n] : self._ends[n + 1]] += w.turns @ (weights[k] @ values)
-        self._residual = self.offsets - np.median(self.offsets)
-        self.noise = NOISE
-        self.row_weights = np.ones(len(self.offsets))
-
-    def weigh(self) -> None:
-        """Weighs rows by how well they fit (Tukey's biweight), and by how alike neighbours' errors are."""
-        self.noise = max(1.4826 * float(np.median(np.abs(self._residual))), NOISE)
-        weights = np.clip(1.0 - (self._residual / (BIWEIGHT * self.noise)) ** 2, 0.0, None) ** 2
-        self.row_weights = weights / (self._alike(weights) * self.noise**2)
-        self._assemble()
-
-    def _alike(self, weights: Floats) -> float:
-        """Returns how many points of an outline count as one, by how alike errors are in a place of a frame."""
-        found = []
-        for n, (_, w) in enumerate(self._seen):
-            own = slice(self._ends[n], self._ends[n + 1])
-            place = self._patch[w.vertices]
-            count = np.bincount(place, weights[own])
-            total = np.bincount(place, weights[own] * self._residual[own])
-            many = count > 2.0
-            found.append(total[many] ** 2 / count[many])
-        each = np.concatenate(found)
-        return (
-            max(CORRELATED, float(np.mean(np.minimum(each, np.percentile(each, 90)))) / self.noise**2)
-            if len(each)
-            else CORRELATED
-        )
-
-    def settle(self, solution: Floats) -> None:
-        """Takes the residual about a solution."""
-        self._residual = self._targets - self._predicted(solution)
-
-    def _predicted(self, solution: Floats) -> Floats:
-        values, extra = solution[: self.count].reshape(self.knots, -1), solution[self.count :]
-        parts = []
-        for k, w in self._seen:
-            parts.append(w.turns @ (self._spline_weights[k] @ values) + self._rows(w) @ extra)
-        return np.concatenate(parts)
-
-    def _rows(self, w: Witness) -> Floats:
-        rows = np.zeros((len(w.offsets), self._extra))
-        few = np.column_stack([w.picture, w.shape, w.per_metre])
-        rows[:, : few.shape[1]] = few
-        rows[np.arange(len(rows)), few.shape[1] + self._patch[w.vertices]] = w.per_metre
-        return rows
-
-    def _assemble(self) -> None:
-        total = self.count + self._extra
-        normal, right = np.zeros((total, total)), np.zeros(total)
-        size = POSE_COLUMNS
-        for n, (k, w) in enumerate(self._seen):
-            own = slice(self._ends[n], self._ends[n + 1])
-            rows = np.concatenate([w.turns, self._rows(w)], axis=1)
-            weighted = rows * self.row_weights[own, None]
-            block, part = weighted.T @ rows, weighted.T @ self._targets[own]
-            active = np.flatnonzero(self._spline_weights[k])
-            for a in active:
-                wa, sa = self._spline_weights[k, a], slice(a * size, (a + 1) * size)
-                right[sa] += wa * part[:size]
-                normal[sa, self.count :] += wa * block[:size, size:]
-                for b in active:
-                    normal[sa, b * size : (b + 1) * size] += (
-                        wa * self._spline_weights[k, b] * block[:size, :size]
-                    )
-            normal[self.count :, self.count :] += block[size:, size:]
-            right[self.count :] += part[size:]
-        normal[self.count :, : self.count] = normal[: self.count, self.count :].T
-        self._normal, self._right = normal, right
-
-    def solve(self, precision: Floats) -> tuple[Floats, Floats]:
-        """Returns the most likely unknowns, and their variances."""
-        # in units of the prior's spread the system is well scaled whatever it is
-        scale = precision**-0.5
-        scaled = self._normal * scale[:, None] * scale
-        scaled[np.diag_indices_from(scaled)] += 1.0
-        factor = cho_factor(scaled, lower=True, overwrite_a=True)
-        solution = scale * cho_solve(factor, scale * self._right)
-        inverse, _ = dpotri(factor[0], lower=1, overwrite_c=1)
-        return solution, scale**2 * np.diag(inverse)
+            near = np.clip(spread, 0.25 * self.spreads[number], 4.0 * self.spreads[number])
+            self.spreads[number] = np.clip(near, least, most)
 
 
 def align_poses(

@@ -6,6 +6,7 @@ outline by less than they can be told.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -134,6 +135,31 @@ def observe_outline(
         size=size,
         focal=float(K[0, 0]),
     )
+
+
+def misfits(body: Body, look: Look, corrections: Sequence[tuple[Floats, ...]]) -> Floats:
+    """Returns how far the body and the mask of a frame differ under corrections of the pose, of the body's pixels.
+
+    What is hidden by the first of them is left out of all.
+
+    Args:
+        body: of the pose.
+        look: at the frame.
+        corrections: turns `[24, 3]` and shift `[3]` each.
+    """
+    found, area = [], 1
+    hidden = np.zeros_like(look.seen)
+    for number, correction in enumerate(corrections):
+        turns, shift = (torch.from_numpy(part).double() for part in correction)
+        figure = _Figure(body, look.pose, turns, shift)
+        viewmat, K = (part.double().cpu().numpy() for part in (look.camera.viewmat, look.camera.K))
+        pixels, depth = project_vertices(figure.vertices, viewmat, K)
+        height, width = look.seen.shape
+        covered = rasterize_mesh(pixels, depth, body.faces.cpu().numpy(), width, height).face >= 0
+        if number == 0:
+            hidden, area = _hidden(covered, look.seen, person_size(covered)), max(1, int(covered.sum()))
+        found.append(float(((covered ^ look.seen) & ~hidden).sum()) / area)
+    return np.array(found)
 
 
 def _hidden(body: Mask, seen: Mask, size: float) -> Mask:
