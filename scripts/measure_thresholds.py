@@ -165,7 +165,7 @@ def page() -> str:
         "",
         "Each number that decides, with what it is held against on scenes: least to most. The nearer a statistic",
         f"comes to its threshold, the less the margin. Scenes: {counts}; synthetic people below number 100 at 128 px,",
-        "60 frames, behind a strip in the first 48; the clip is real. Every row is in [thresholds.csv](thresholds.csv).",
+        "60 frames, behind a strip in the first 48; the clip is real. Rows are in [thresholds.csv](thresholds.csv).",
         'Made by `python scripts/measure_thresholds.py`, which trains nothing. "-": not measured there.',
         "",
         f"| threshold | value | decides | {' | '.join(groups)} |",
