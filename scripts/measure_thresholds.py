@@ -142,7 +142,7 @@ def settings_of(scene: str, work: Path, clip: Path | None) -> Callable[[Sequence
 def measure(work: Path, clip: Path | None) -> None:
     """Adds the rows that the table lacks."""
     rows = read_table(CSV) if CSV.is_file() else []
-    scenes = [f"{subject:03d}-{level}" for level in LEVELS for subject in SUBJECTS]
+    scenes = [f"{subject:03d}-{level}" for subject in SUBJECTS for level in LEVELS]
     if clip is not None:
         scenes.insert(0, CLIP)
     for scene in scenes:
