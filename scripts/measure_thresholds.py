@@ -165,7 +165,7 @@ def page() -> str:
         "",
         "Each number that decides, with what it is held against on scenes: least to most. The nearer a statistic",
         f"comes to its threshold, the less the margin. Scenes: {counts};",
-        "synthetic people below number 100 at 128 px, 60 frames, behind a strip in the first 48, and a real clip at 256.",
+        "synthetic people below number 100 at 128 px, 60 frames, behind a strip in 48; a real clip at 256 px.",
         "Rows are in [thresholds.csv](thresholds.csv).",
         'Made by `python scripts/measure_thresholds.py`, which trains nothing. "-": not measured there.',
         "",
