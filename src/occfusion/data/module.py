@@ -101,15 +101,17 @@ class HumanDataModule(L.LightningDataModule):
                 self.findings.append(finding)
                 _log.warning(finding)
 
-    def register(self, faces: NDArray[np.int64]) -> SceneRegistration:
+    def register(self, faces: NDArray[np.int64], *, poses_may_explain: bool = False) -> SceneRegistration:
         """Measures whether pictures lie where the cameras say, and corrects cameras where it is certain that not.
 
         Args:
             faces: of the body, `[F, 3]`.
+            poses_may_explain: poses are known to be off by so much that they explain a shift as well: then only what
+                held-out cameras confirm is corrected.
         """
         if self.registration is None:
             prepared, views, _ = self._open()
-            self.registration = register_scene(prepared, views, self.poser, faces)
+            self.registration = register_scene(prepared, views, self.poser, faces, poses_may_explain)
             views.corrections = self.registration.corrections
         return self.registration
 

@@ -58,7 +58,11 @@ class SceneRegistration:
 
 
 def register_scene(
-    prepared: Prepared, views: Views, poser: Poser, faces: NDArray[np.int64]
+    prepared: Prepared,
+    views: Views,
+    poser: Poser,
+    faces: NDArray[np.int64],
+    poses_may_explain: bool = False,
 ) -> SceneRegistration:
     """Returns what the outlines of bodies and masks say of the cameras.
 
@@ -72,6 +76,7 @@ def register_scene(
         views: its frames; cameras not corrected yet.
         poser: of the body.
         faces: of the body, `[F, 3]`.
+        poses_may_explain: a shift may be one of poses throughout the video: it takes held-out cameras to confirm it.
     """
     own = prepared.camera
     shown = [_training_view(prepared, views, poser, k) for k in spread(len(prepared.train), MOST_FRAMES)]
@@ -79,7 +84,7 @@ def register_scene(
     measured = register(shown, faces, rest)
     if measured is None or measured.suspected.is_none:
         return SceneRegistration(measured, {})
-    lens, is_certain = views.lens(own), not measured.correction.is_none
+    lens, is_certain = views.lens(own), not measured.correction.is_none and not poses_may_explain
     found = measured.correction if is_certain else measured.suspected
     correction = found.resized(lens.source[0] / lens.size[0])
     corrections = {own: correction} if is_certain else {}

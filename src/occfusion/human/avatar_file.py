@@ -62,11 +62,10 @@ def describe_avatar(avatar: Avatar) -> dict[str, Any]:
 
 
 def _spline_description(spline: PoseSpline | None) -> dict[str, float] | None:
-    return (
-        None
-        if spline is None
-        else {"first": float(spline.first), "spacing": float(spline.spacing), "knots": spline.knots}
-    )
+    if spline is None:
+        return None
+    range_ = {"first": float(spline.first), "spacing": float(spline.spacing), "knots": spline.knots}
+    return {**range_, "aligned": spline.aligned}
 
 
 def load_avatar(path: Path | str, body: Body) -> Avatar:
@@ -150,7 +149,12 @@ def _empty_avatar(body: Body, description: dict[str, Any]) -> Avatar:
         body,
         refine_pose=bool(description["refine_pose"]),
         pose_spline=spline
-        and PoseSpline(float(spline["first"]), float(spline["spacing"]), int(spline["knots"])),
+        and PoseSpline(
+            float(spline["first"]),
+            float(spline["spacing"]),
+            int(spline["knots"]),
+            bool(spline.get("aligned", False)),
+        ),
         learn_skinning=bool(description["learn_skinning"]),
         skinning_every=int(description["skinning_every"]),
         # absent, as the spline is, from files that are older, and so is what follows

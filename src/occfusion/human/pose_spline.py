@@ -27,9 +27,16 @@ class PoseSpline(nn.Module):
         first: number of the first frame of the range.
         spacing: frames between two knots.
         knots: how many, at least 4; the range is `knots - 3` spacings long.
+        aligned: it begins at what `start_at` gives it, and each number learns as fast as its reach lets it: Adam moves
+            all parameters alike, angles that the video tells and angles that it does not.
     """
 
-    def __init__(self, first: float, spacing: float, knots: int) -> None:
+    base_turns: Tensor | None
+    base_places: Tensor | None
+    turn_reach: Tensor | None
+    place_reach: Tensor | None
+
+    def __init__(self, first: float, spacing: float, knots: int, aligned: bool = False) -> None:
         super().__init__()
         if not spacing > 0 or knots < 4:
             raise ValueError(
@@ -39,6 +46,22 @@ class PoseSpline(nn.Module):
         self.spacing = spacing
         self.turns = nn.Parameter(torch.zeros(knots, NUM_JOINTS, 3))
         self.places = nn.Parameter(torch.zeros(knots, 3))
+        for name, like in (("turn", self.turns), ("place", self.places)):
+            self.register_buffer(f"base_{name}s", torch.zeros_like(like) if aligned else None)
+            self.register_buffer(f"{name}_reach", torch.ones_like(like) if aligned else None)
+
+    @property
+    def aligned(self) -> bool:
+        """Whether it began at something else than nothing, with reaches."""
+        return self.base_turns is not None
+
+    def start_at(self, turns: Tensor, places: Tensor, turn_reach: Tensor, place_reach: Tensor) -> None:
+        """Gives an aligned spline its beginning, `[K, 24, 3]` and `[K, 3]`, and how fast each may learn, 0 to 1."""
+        own = (self.base_turns, self.base_places, self.turn_reach, self.place_reach)
+        for buffer, value in zip(own, (turns, places, turn_reach, place_reach), strict=True):
+            if buffer is None:
+                raise ValueError("a spline that was not made as `aligned` begins at nothing")
+            buffer.copy_(value)
 
     @classmethod
     def over(cls, frames: Sequence[int], every: int) -> PoseSpline:
@@ -70,9 +93,14 @@ class PoseSpline(nn.Module):
         weights = self.turns.new_tensor(
             [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3]
         ).div(6)
-        return weights @ self.turns[start : start + 4].transpose(0, 1), weights @ self.places[
-            start : start + 4
-        ]
+        turns, places = self.turns[start : start + 4], self.places[start : start + 4]
+        if self.base_turns is not None:
+            assert (
+                self.base_places is not None and self.turn_reach is not None and self.place_reach is not None
+            )
+            turns = self.base_turns[start : start + 4] + self.turn_reach[start : start + 4] * turns
+            places = self.base_places[start : start + 4] + self.place_reach[start : start + 4] * places
+        return weights @ turns.transpose(0, 1), weights @ places
 
     def forward(self, frame_index: float, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor]:
         """Returns rotations with the turns multiplied from the right, and the translation with the shift added.

@@ -14,6 +14,7 @@ from occfusion.human.observability import ObservedSurface
 from occfusion.observation.evidence import FITTING, HIDDEN_SHARE
 from occfusion.observation.frames import ObservedFrame, misfit_of, poses_fit
 from occfusion.observation.key_light import KeyLight
+from occfusion.observation.pose_alignment import Alignment
 from occfusion.settings.schema import Settings, stages_to_run
 from occfusion.settings.stages import AvatarSettings, HiddenSettings
 from occfusion.stages.avatar import BOX_PADDING
@@ -109,11 +110,32 @@ def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] |
     return [Decision(*parts) for parts in zip(names, used, reasons, strict=True)]
 
 
-def network_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
+def alignment_decision(settings: Settings, alignment: Alignment | None) -> Decision:
+    """Returns whether poses are aligned with the outlines of masks: where these tell anything."""
+    part, reason = "pose alignment", f"optim.align_poses = {settings.optim.align_poses}"
+    if not is_alignment_asked(settings):
+        return Decision(part, False, f"{reason}, optim.pose_knots = {settings.optim.pose_knots}")
+    if alignment is None:
+        return Decision(part, False, f"{reason}; too few frames show an outline")
+    return Decision(part, True, f"{reason}; {alignment.text()}")
+
+
+def is_alignment_asked(settings: Settings) -> bool:
+    """Returns whether the settings ask for poses that are aligned with outlines before anything is trained."""
+    return settings.optim.align_poses and settings.optim.pose_knots > 0
+
+
+def network_decisions(
+    settings: Settings,
+    observed_frames: Sequence[ObservedFrame] | None,
+    alignment: Alignment | None = None,
+) -> list[Decision]:
     """Returns the decisions on pose refinement, corrections frame by frame, and the skinning network, in this order.
 
-    They mend poses. They are left out where poses fit: the masks of the frames that show a whole person then show the
-    person wherever the body model has it.
+    They mend poses. Where these were aligned, nothing is decided: corrections frame by frame move as far as the
+    video tells that poses are off, and the networks, which move all angles alike, are left out. Else they are left out
+    where poses fit: the masks of the frames that show a whole person then show the person wherever the body model has
+    it.
     """
     optim = settings.optim
     decisions = [
@@ -123,6 +145,10 @@ def network_decisions(settings: Settings, observed_frames: Sequence[ObservedFram
         ),
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
+    if alignment is not None and settings.plan == "needed":
+        why = "poses are aligned with outlines, and mended frame by frame as far as the video tells"
+        left = [replace(d, used=False, reason=f"{d.reason}; {why}") for d in (decisions[0], decisions[2])]
+        return [left[0], decisions[1], left[1]]
     measured = misfit_of(observed_frames)
     if not may_leave_out_networks(settings) or measured is None:
         return decisions

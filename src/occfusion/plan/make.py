@@ -16,9 +16,11 @@ from occfusion.human.coverage import BodyCoverage
 from occfusion.human.observability import ObservedSurface
 from occfusion.observation.frames import ObservedFrame
 from occfusion.observation.key_light import KeyLight
+from occfusion.observation.pose_alignment import Alignment
 from occfusion.perceptual import training_dtype
 from occfusion.plan.decisions import (
     Decision,
+    alignment_decision,
     box_reason,
     completion_decision,
     densification_decision,
@@ -76,6 +78,7 @@ class Plan:
 TOLD = (
     "camera correction",
     "completed colours",
+    "pose alignment",
     "complete masks",
     "pose refinement",
     "key light",
@@ -83,7 +86,7 @@ TOLD = (
     "densification in the refinement",
 )
 """Parts whose decision a user wants to see at once; `plan.json` has them all."""
-TOLD_IF_NOT = TOLD[2:]
+TOLD_IF_NOT = TOLD[3:]
 """Those of them that are told also where they are not used."""
 
 NO_SURFACE = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0, hold=False)
@@ -99,6 +102,7 @@ def make_plan(
     surface: ObservedSurface | None = None,
     coverage: BodyCoverage | None = None,
     device: torch.device | None = None,
+    alignment: Alignment | None = None,
 ) -> Plan:
     """Returns the plan of a run, from its settings and from what the data folder showed.
 
@@ -112,6 +116,7 @@ def make_plan(
         surface: what the video says of the body's surface; None where no frame shows it or nothing depends on it.
         coverage: how well the training frames show the body; None where none does.
         device: where the run computes; the CPU when None.
+        alignment: what outlines say of the poses; None where they tell too little or were not asked.
     """
     optim, refine = settings.optim, settings.refine
     stages = stage_decisions(settings, observed_frames)
@@ -124,7 +129,7 @@ def make_plan(
     hidden = hidden_policies(settings, observed_frames)
     is_deferred = is_perceptual_term_deferred(settings)
     distillation = sds_decisions(settings, observed_frames)
-    networks = network_decisions(settings, observed_frames)
+    networks = network_decisions(settings, observed_frames, alignment)
     lamp = key_light_decision(settings, key_light)
     start = start_decision(settings)
     completed = completion_decision(settings, coverage)
@@ -152,7 +157,7 @@ def make_plan(
         Decision("spherical harmonics above the active degree", False,
                  f"degree {highest} is the highest reached in the run's steps; higher bands are not allocated")
     )  # fmt: skip
-    plan += [*networks, lamp, start]
+    plan += [alignment_decision(settings, alignment), *networks, lamp, start]
     reason = f"optim.observed_colors = {optim.observed_colors}"
     plan.append(Decision("colours of the video at the start", optim.observed_colors, reason))
     plan += [completed, closed, rounds]

@@ -37,6 +37,7 @@ class MaskCompletion:
         data_hash: of all that is read.
         observed_frames: what masks and poses say of the training frames.
         device: where the prior runs.
+        aligned: frames between knots of the alignment that the poses of `observed_frames` have; 0: none, as given.
     """
 
     settings: Settings
@@ -45,6 +46,7 @@ class MaskCompletion:
     data_hash: str
     observed_frames: Sequence[ObservedFrame]
     device: torch.device
+    aligned: int = 0
 
     def run(self, avatar: Avatar) -> Avatar:
         """Returns the avatar as it was given, once the masks are complete.
@@ -63,7 +65,8 @@ class MaskCompletion:
         def read(position: int) -> Frame:
             return data.train_frame(position, truth=False)
 
-        prior, identity = make_prior(settings, data, self.device), {"data": self.data_hash}
+        prior = make_prior(settings, data, self.device)
+        identity = {"data": self.data_hash} | ({"aligned": self.aligned} if self.aligned else {})
         stage = InitStage(prior, body, self.observed_frames, read, settings.init, folder.masks, identity)
         progress, own = settings.trainer.enable_progress_bar, folder.stage(stage.name)
         record = own.record

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,8 +23,10 @@ from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.inpaint.completion_net import load_completion_net
 from occfusion.observation.frames import ObservedFrame, observe_frames
 from occfusion.observation.key_light import KeyLight, find_key_light
+from occfusion.observation.pose_alignment import Alignment, align_poses, aligned_pose
+from occfusion.observation.pose_witness import Look
 from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
-from occfusion.plan.decisions import may_leave_out_networks, with_everything
+from occfusion.plan.decisions import is_alignment_asked, may_leave_out_networks, with_everything
 from occfusion.plan.make import Plan, make_plan, reached_sh_degree
 from occfusion.priors.build_prior import check_score_prior
 from occfusion.priors.calibration import measure_thickness
@@ -38,6 +40,7 @@ from occfusion.run.sequence import record_sequence
 from occfusion.run.training import AvatarTraining
 from occfusion.settings.schema import Settings
 from occfusion.stages.targets import UncertainMasks
+from occfusion.types import Frame
 
 COVERAGE_VIEWS = 300
 """Training views that the body is held against, evenly spread; at 256 px a view takes about 20 ms."""
@@ -59,6 +62,7 @@ class Observed:
         coverage: how well the training frames show the body, place by place; None where no view does.
         surface: what they say of its surface; None where no view shows it or nothing depends on it.
         renderer: draws avatars, on the device where the run computes.
+        alignment: what outlines say of the poses; None where they tell too little or were not asked.
     """
 
     body: Body
@@ -70,6 +74,7 @@ class Observed:
     coverage: BodyCoverage | None
     surface: ObservedSurface | None
     renderer: Renderer
+    alignment: Alignment | None
 
     @property
     def data_hash(self) -> str:
@@ -144,7 +149,8 @@ def observe(settings: Settings) -> Observed:
     data = make_data(settings, body)
     data.validate()
     faces, optim = body.faces.cpu().numpy(), settings.optim
-    registered = data.register(faces) if settings.registration == "auto" else None
+    registered, alignment = _register_and_align(settings, data, body)
+    read = _aligned_reader(data, body, alignment)
     is_prior_asked = "init" in settings.variant.stages or optim.sds.is_used
     is_closed = optim.surface.is_used or settings.refine.surface.is_used
     are_judged = (
@@ -154,14 +160,14 @@ def observe(settings: Settings) -> Observed:
         or optim.hidden.effective_weight < 1.0
         or optim.key_light
     )
-    observed_frames = observe_training_frames(data, body) if are_judged else None
+    observed_frames = observe_training_frames(data, body, read) if are_judged else None
     key_light = None
     if observed_frames is not None and optim.key_light:
-        key_light = find_key_light(lambda k: data.train_frame(k, truth=False), observed_frames, faces)
+        key_light = find_key_light(read, observed_frames, faces)
     if observed_frames is not None and settings.plan == "full":
         observed_frames = with_everything(observed_frames)
     views = spread(len(data.train_indices), COVERAGE_VIEWS)
-    coverage = cover_body((sighting_of(data.train_frame(k, truth=False), body) for k in views), body)
+    coverage = cover_body((sighting_of(read(k), body) for k in views), body)
     surface = None
     if is_closed and coverage is not None and observed_frames is not None:
         surface = _observe_surface(data, body, coverage, observed_frames)
@@ -169,8 +175,50 @@ def observe(settings: Settings) -> Observed:
     device = torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
     renderer = Renderer(settings.rasterizer.name, device)
     return Observed(
-        body, data, data.summary(), registered, observed_frames, key_light, coverage, surface, renderer
+        body,
+        data,
+        data.summary(),
+        registered,
+        observed_frames,
+        key_light,
+        coverage,
+        surface,
+        renderer,
+        alignment,
     )
+
+
+def _register_and_align(
+    settings: Settings, data: HumanDataModule, body: Body
+) -> tuple[SceneRegistration | None, Alignment | None]:
+    """Returns whether pictures lie where cameras say, and what outlines say of poses; cameras are corrected.
+
+    Each may be mistaken for the other. A shift that is certain whatever the poses are is taken out of the cameras, and
+    poses are aligned behind it; another one takes held-out cameras to confirm it.
+    """
+    faces, knots = body.faces.cpu().numpy(), settings.optim.pose_knots
+    count, alignment = len(data.train_indices), None
+    if is_alignment_asked(settings):
+        looks = [Look.at(data.train_frame(k, truth=False)) for k in range(count)]
+        alignment = align_poses(looks, body, knots, registered=settings.registration == "off")
+    if settings.registration == "off":
+        return None, alignment
+    registered = data.register(faces, poses_may_explain=alignment is not None and not alignment.shows_shift)
+    if alignment is not None and registered.corrections:
+        looks = [Look.at(data.train_frame(k, truth=False)) for k in range(count)]
+        alignment = align_poses(looks, body, knots, registered=True)
+    return registered, alignment
+
+
+def _aligned_reader(data: HumanDataModule, body: Body, alignment: Alignment | None) -> Callable[[int], Frame]:
+    """Returns what reads a training frame by its position, its pose aligned, without the truth."""
+    spline = None if alignment is None else alignment.spline()
+
+    def read(position: int) -> Frame:
+        frame = data.train_frame(position, truth=False)
+        return frame if spline is None else replace(frame, pose=aligned_pose(frame.pose, spline, body))
+
+    return read
 
 
 def _observe_surface(
@@ -190,9 +238,12 @@ def _observe_surface(
     return ObservedSurface(known, ignorance, turn, thickness, depth / focal)
 
 
-def observe_training_frames(data: HumanDataModule, body: Body) -> list[ObservedFrame]:
-    """Returns what masks and poses say of all training frames."""
-    return observe_frames((data.train_frame(k, truth=False) for k in range(len(data.train_indices))), body)
+def observe_training_frames(
+    data: HumanDataModule, body: Body, read: Callable[[int], Frame] | None = None
+) -> list[ObservedFrame]:
+    """Returns what masks and poses say of all training frames, as `read` gives them, or as the data do."""
+    read = _aligned_reader(data, body, None) if read is None else read
+    return observe_frames((read(k) for k in range(len(data.train_indices))), body)
 
 
 # --- decide ------------------------------------------------------------------------------------------------
@@ -214,6 +265,7 @@ def decide(settings: Settings, observed: Observed) -> Plan:
         observed.surface,
         observed.coverage,
         observed.renderer.device,
+        observed.alignment,
     )
     planned = plan.settings
     if {"optim", "refine"} & set(plan.stages) and planned.optim.unseen_colors == "prior":
@@ -286,7 +338,13 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         renderer=observed.renderer,
     )
     masks = MaskCompletion(
-        settings, folder, observed.data, observed.data_hash, frames, observed.renderer.device
+        settings,
+        folder,
+        observed.data,
+        observed.data_hash,
+        frames,
+        observed.renderer.device,
+        settings.optim.pose_knots if observed.alignment is not None else 0,
     )
     known: dict[str, RunStage] = {"init": masks, "optim": Optimisation(shared), "refine": Refinement(shared)}
     return Run(
@@ -308,6 +366,9 @@ def _make_avatar(planned: Settings, observed: Observed) -> Avatar:
     if optim.key_light:
         assert observed.key_light is not None  # the plan has one only where one was found
         lamp = torch.from_numpy(observed.key_light.vector).to(body.v_template)
+    spline = PoseSpline.over(observed.data.train_indices, knots) if knots else None
+    if knots and observed.alignment is not None:
+        spline = observed.alignment.spline()
     gaussians = Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness)
     if optim.gaussians not in (0, found := gaussians.num_gaussians):
         why = "each vertex has one" if found > optim.gaussians else "each vertex and face has one"
@@ -316,7 +377,7 @@ def _make_avatar(planned: Settings, observed: Observed) -> Avatar:
         body,
         sh_degree=sh_degree,
         refine_pose=optim.refine_pose,
-        pose_spline=PoseSpline.over(observed.data.train_indices, knots) if knots else None,
+        pose_spline=spline,
         learn_skinning=optim.learn_skinning,
         skinning_every=optim.skinning_every,
         key_light=lamp,

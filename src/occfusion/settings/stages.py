@@ -305,6 +305,11 @@ class OptimSettings(AvatarSettings):
     pose_knots: int = setting(
         4, "training frames from one knot to the next of the corrections frame by frame; 0: none", 0, 10_000
     )
+    align_poses: bool = setting(
+        True,
+        "whether these corrections begin where the outlines of masks have the body, and learn as far as the video "
+        "tells that poses are off; the networks of pose and skinning are left out then",
+    )
     learn_skinning: bool = setting(True, "GauHuman's network of skinning weights")
     skinning_every: int = setting(4, "steps from one evaluation of it to the next", 1, 10_000)
     sds: SdsSettings = field(default_factory=SdsSettings)

@@ -40,12 +40,12 @@ def light_vertices(vertices: Floats, faces: NDArray[np.int64], lighting: Lightin
     key = np.maximum(0.0, normals @ KEY_DIRECTION)
     ambient = np.full(len(vertices), lighting.ambient)
     if lighting.shadows:
-        key *= _lit_share(vertices, faces, KEY_DIRECTION, PENUMBRA)
-        ambient *= 1.0 - OCCLUSION_STRENGTH * (1.0 - _openness(vertices, faces, normals))
+        key *= lit_share(vertices, faces, KEY_DIRECTION, PENUMBRA)
+        ambient *= 1.0 - OCCLUSION_STRENGTH * (1.0 - openness(vertices, faces, normals))
     return np.asarray(ambient + (1.0 - lighting.ambient) * key)
 
 
-def _lit_share(vertices: Floats, faces: NDArray[np.int64], towards: Floats, reach: int) -> Floats:
+def lit_share(vertices: Floats, faces: NDArray[np.int64], towards: Floats, reach: int) -> Floats:
     """Returns the share of light from a direction that arrives, `[V]`: a filtered shadow map."""
     side = np.cross(towards, [0.0, 0.0, 1.0] if abs(towards[2]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
@@ -64,7 +64,7 @@ def _lit_share(vertices: Floats, faces: NDArray[np.int64], towards: Floats, reac
     return lit / len(offsets) ** 2
 
 
-def _openness(vertices: Floats, faces: NDArray[np.int64], normals: Floats) -> Floats:
+def openness(vertices: Floats, faces: NDArray[np.int64], normals: Floats) -> Floats:
     """Returns how much of the surroundings each vertex sees, `[V]`, 0..1."""
     k = np.arange(SKY) + 0.5
     z = 1.0 - 1.6 * k / SKY  # a golden spiral without the lowest directions, which the floor blocks
@@ -74,5 +74,5 @@ def _openness(vertices: Floats, faces: NDArray[np.int64], normals: Floats) -> Fl
     for direction in np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1):
         weight = np.maximum(0.0, normals @ direction)
         total += weight
-        arrived += weight * _lit_share(vertices, faces, direction, 1)
+        arrived += weight * lit_share(vertices, faces, direction, 1)
     return np.where(total > 1e-6, arrived / np.maximum(total, 1e-6), 1.0)

@@ -137,7 +137,7 @@ class Occluder:
         """Says whether it is elsewhere in each frame."""
         return self.kind == "moving"
 
-    def mesh(self, width: float, frame: int) -> Mesh:
+    def mesh(self, width: float, frame: float) -> Mesh:
         """Returns it in the world at a frame; `width` in metres (a counter's height) is what is fitted."""
         solids = _BUILDERS[self.kind](width, np.random.default_rng(self._build_seed))
         shift = 0.0

@@ -10,18 +10,22 @@ from numpy.typing import NDArray
 
 from occfusion.synth.actor import Actor
 from occfusion.synth.disturb import disturb_mask, disturb_shape, disturb_take, move_edge, person_mask
+from occfusion.synth.estimator import estimate_cameras, estimate_shape, estimate_take, hidden_joints
+from occfusion.synth.filming import Filming
 from occfusion.synth.fullbody import bone_transforms, load_model_body, skin
 from occfusion.synth.light import AMBIENT, Lighting, light_vertices
 from occfusion.synth.occluders import Occluder
 from occfusion.synth.paint import paint
 from occfusion.synth.rotations import Floats, axis_angle_from_quaternion, multiply, quaternion_from_axis_angle
+from occfusion.synth.sensor import JPEG_QUALITY as FILMED_QUALITY
 from occfusion.synth.shading import SUPERSAMPLING, Mesh, Window, draw, lay_over
-from occfusion.synth.spec import SceneSpec
+from occfusion.synth.spec import FILMED, SceneSpec
 from occfusion.synth.studio import FOCAL, NOMINAL, RADIUS, Y_UP_TO_Z_UP, make_background, make_cameras
 
 TEXEL = 0.0017  # metres of skin a texel of the full atlas covers
 FIT_SIZE = 128  # pixels at which the share hidden by an occluder is measured
 FIT_FRAMES = 8
+JPEG_QUALITY = 95
 
 _QUARTER_TURN = np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0])
 """`studio.Y_UP_TO_Z_UP` as a quaternion."""
@@ -71,6 +75,7 @@ class Scene:
         self.actor = Actor(spec)
         self.subject, self.take = self.actor.subject, self.actor.take
         self.cameras = make_cameras(spec.cameras, spec.image_size)
+        self.disk_cameras = self.cameras
         self.is_hard = spec.level == "hard"
         self.disk_betas, self.disk_take = self.subject.betas, self.take
         if self.is_hard:
@@ -84,6 +89,27 @@ class Scene:
         if spec.occluders != "none":
             self._occluder = Occluder(spec.occluders, spec.seed, spec.subject, self.cameras[0])
             self._width = self._fitted(self._occluder)
+        if spec.level == "wild":
+            self._estimate()
+        self._filming: Filming | None = None
+        if spec.level in FILMED:
+            occluder = None if self._occluder is None else (self._occluder, self._width)
+            self._filming = Filming(
+                self.actor, self.cameras, self._backgrounds, self._texture, occluder, _laid, self._rng
+            )
+
+    @property
+    def jpeg_quality(self) -> int:
+        """Returns how well pictures are kept, 1 to 100."""
+        return JPEG_QUALITY if self._filming is None else FILMED_QUALITY
+
+    def _estimate(self) -> None:
+        """Puts an estimate in place of the true parameters and cameras on disk."""
+        width = 0.0 if self._occluder is None else self._width
+        hidden = hidden_joints(self.take, self.subject.betas, self._occluder, width)
+        self.disk_betas = estimate_shape(self.subject.betas, self._rng(2))
+        self.disk_take = estimate_take(self.take, hidden, self.cameras[0], self._rng(3))
+        self.disk_cameras = estimate_cameras(self.cameras, self._rng(8))
 
     def _rng(self, *keys: int) -> np.random.Generator:
         return np.random.default_rng([self.spec.seed, self.spec.subject, *keys])
@@ -114,6 +140,9 @@ class Scene:
 
     def shots(self, frame: int) -> Iterator[Shot]:
         """Yields the picture of each camera at a frame."""
+        if self._filming is not None:
+            yield from (Shot(*picture) for picture in self._filming.pictures(frame))
+            return
         size = self.spec.image_size
         person = self.mesh(frame)
         thing = self._occluder.mesh(self._width, frame) if self._occluder else None
@@ -195,6 +224,14 @@ def _compose(
     background: NDArray[np.float32], window: Window | None, before: Window | None
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Returns the picture, and the share of each pixel that shows the person."""
+    picture, coverage = _laid(background, window, before)
+    return np.clip(picture + 0.5, 0.0, 255.0).astype(np.uint8), coverage
+
+
+def _laid(
+    background: NDArray[np.float32], window: Window | None, before: Window | None
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Returns the picture without rounding, and the share of each pixel that shows the person."""
     picture = background.copy()
     coverage = np.zeros(background.shape[:2], np.float32)
     if before is not None:
@@ -207,4 +244,4 @@ def _compose(
         lay_over(
             picture, coverage, window.x, window.y, window.depth, window.colour, *_aligned(before, window)
         )
-    return np.clip(picture + 0.5, 0.0, 255.0).astype(np.uint8), coverage
+    return picture, coverage

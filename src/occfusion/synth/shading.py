@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.cpu.compilation import serial
-from occfusion.geometry.zbuffer import rasterize_mesh
+from occfusion.geometry.zbuffer import ZBuffer, rasterize_mesh
 from occfusion.synth.rotations import Floats
 
 SUPERSAMPLING = 2  # samples a side of each pixel
@@ -51,9 +51,39 @@ class Mesh(NamedTuple):
     texture: NDArray[np.float32]
 
 
+class Sampled(NamedTuple):
+    """Where a mesh lies in a picture, at sample resolution.
+
+    Attributes:
+        x: first column of the window, pixels.
+        y: first row, pixels.
+        zbuffer: of the window's samples.
+    """
+
+    x: int
+    y: int
+    zbuffer: ZBuffer
+
+
 def draw(mesh: Mesh, viewmat: Floats, K: Floats, size: int) -> Window | None:
     """Returns what a camera of `size` x `size` pixels sees of a mesh, or None where that is nothing."""
-    local = mesh.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
+    found = sample(mesh.vertices, mesh.faces, viewmat, K, size)
+    if found is None:
+        return None
+    seen = found.zbuffer
+    colour = np.zeros((*seen.depth.shape, 3), np.float32)
+    _shade(
+        seen.face, seen.barycentrics, mesh.faces, mesh.light.astype(np.float32), mesh.uv.astype(np.float32),
+        mesh.layer, mesh.texture, colour,
+    )  # fmt: skip
+    return Window(found.x, found.y, seen.depth, colour)
+
+
+def sample(
+    vertices: Floats, faces: NDArray[np.int64], viewmat: Floats, K: Floats, size: int
+) -> Sampled | None:
+    """Returns which surface the samples of a camera of `size` x `size` pixels see; None where they see none."""
+    local = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
     depth = local[:, 2]
     ahead = depth > 0.05
     if not ahead.any():
@@ -67,13 +97,7 @@ def draw(mesh: Mesh, viewmat: Floats, K: Floats, size: int) -> Window | None:
         return None
     samples = (pixels - [left, top]) * SUPERSAMPLING
     shape = (right - left) * SUPERSAMPLING, (bottom - top) * SUPERSAMPLING
-    seen = rasterize_mesh(samples, np.where(ahead, depth, -1.0), mesh.faces, *shape)
-    colour = np.zeros((*seen.depth.shape, 3), np.float32)
-    _shade(
-        seen.face, seen.barycentrics, mesh.faces, mesh.light.astype(np.float32), mesh.uv.astype(np.float32),
-        mesh.layer, mesh.texture, colour,
-    )  # fmt: skip
-    return Window(left, top, seen.depth, colour)
+    return Sampled(left, top, rasterize_mesh(samples, np.where(ahead, depth, -1.0), faces, *shape))
 
 
 @serial

@@ -15,7 +15,9 @@ Their motions come from other stretches of the recordings and from other movemen
 subjects below it.
 """
 
-LEVELS = ("clean", "hard")
+LEVELS = ("clean", "hard", "camera", "wild")
+FILMED = ("camera", "wild")
+"""Levels whose pictures a camera took: several lamps, linear light, a lens, a sensor, a segmenter's masks."""
 OCCLUDERS = ("none", "boxes", "poles", "furniture", "moving", "counter")
 LIGHTS = ("soft", "directional")
 MOTIONS = ("varied", "sitting")
@@ -43,7 +45,9 @@ class SceneSpec:
     Attributes:
         subject: number of the person, 0..999; from `HELD_OUT_FROM` on held out.
         level: `clean` (the body model explains everything but clothes and light) or `hard`
-            (wrinkles, swinging cloth, shadows, poses and shape that are off, masks with errors).
+            (wrinkles, swinging cloth, shadows, poses and shape that are off, masks with errors); `camera` (the exact
+            bodies and clothes of `clean`, filmed: `filming`, with a segmenter's masks) or `wild` (the same, with body
+            parameters and calibration off as estimators are: `estimator`).
         occluders: real things between the first camera and the person, or `none`; all hide what the person moves
             behind them but `counter`, which hides the same part of the body, from the hips down, in nearly all frames.
         image_size: width and height of the pictures, pixels.

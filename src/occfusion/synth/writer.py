@@ -36,7 +36,6 @@ from occfusion.synth.manifest import is_current, write_manifest
 from occfusion.synth.scene import Scene, Shot
 from occfusion.synth.spec import SceneSpec
 
-JPEG_QUALITY = 95
 PNG_COMPRESSION = 3  # masks are small at any level; higher ones only take longer
 BYTES_PER_PIXEL = 0.15  # measured: 0.09 for picture and mask at 512 pixels
 BYTES_PER_PICTURE = 3_000
@@ -121,19 +120,19 @@ def _write_frame(folder: Path, scene: Scene, frame: int) -> None:
     _save_object(folder / "new_params" / f"{frame}.npy", content)
     np.save(folder / "new_vertices" / f"{frame}.npy", parameters.vertices.astype(np.float32))
     for camera, shot in zip(scene.cameras, scene.shots(frame), strict=True):
-        _write_shot(folder, f"{camera.name}/{frame:06d}", shot)
+        _write_shot(folder, f"{camera.name}/{frame:06d}", shot, scene.jpeg_quality)
 
 
-def _write_shot(folder: Path, name: str, shot: Shot) -> None:
-    _save_jpeg(folder / f"{name}.jpg", shot.image)
+def _write_shot(folder: Path, name: str, shot: Shot, quality: int) -> None:
+    _save_jpeg(folder / f"{name}.jpg", shot.image, quality)
     _save_mask(folder / "mask" / f"{name}.png", shot.mask)
     if shot.image_complete is not None and shot.mask_complete is not None:
-        _save_jpeg(folder / "images_complete" / f"{name}.jpg", shot.image_complete)
+        _save_jpeg(folder / "images_complete" / f"{name}.jpg", shot.image_complete, quality)
         _save_mask(folder / "mask_complete" / f"{name}.png", shot.mask_complete)
 
 
 def _annotations(scene: Scene) -> dict[str, Any]:
-    cameras = scene.cameras
+    cameras = scene.disk_cameras
     return {
         "cams": {
             # as calibrated by OpenCV, which puts the centre of the first pixel at 0, not at 0.5
@@ -153,8 +152,8 @@ def _save_object(path: Path, content: dict[str, Any]) -> None:
     np.save(path, box, allow_pickle=True)
 
 
-def _save_jpeg(path: Path, image: NDArray[np.uint8]) -> None:
-    _save_encoded(path, ".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+def _save_jpeg(path: Path, image: NDArray[np.uint8], quality: int) -> None:
+    _save_encoded(path, ".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
 def _save_mask(path: Path, mask: NDArray[np.bool_]) -> None:

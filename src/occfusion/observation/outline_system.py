@@ -1,0 +1,164 @@
+"""All outlines of a sequence as one linear system: of knots of pose corrections, and of what is alike in all frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotri
+
+from occfusion.observation.pose_witness import POSE_COLUMNS, Witness
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+STANDS_OFF, MEAN_STANDS_OFF = 0.015, 0.02
+"""Metres: of a place of the body, and of all of it."""
+SHAPE = 0.5
+"""Standard deviations of the shape."""
+SHIFT, SCALE = 0.01, 0.02
+"""Of the person's size, and of the focal length: by how much the pictures lie off the cameras."""
+KNOWN = 1e-6
+"""Spread of what is known: no shift and no scale."""
+NOISE = 0.2
+"""Pixels, at least: the staircase of a binary mask."""
+CORRELATED = 3.0
+"""Neighbouring pixels of an outline err alike: at least so many count as one."""
+BIWEIGHT = 4.7
+
+
+class OutlineSystem:
+    """The system, weighed and solved.
+
+    Unknowns are the knots, `POSE_COLUMNS` each, then shift and scale of the pictures, the shape, what the body stands
+    off as a whole, and what each place of it does.
+
+    Args:
+        seen: positions of frames, and what their outlines say.
+        weights: how much each knot counts at each frame, `[T, K]`.
+        patch: place of each vertex, `[V]`.
+        values: of the knots, that outlines were looked for at, `[K, POSE_COLUMNS]`.
+        registered: shift and scale are known.
+
+    Attributes:
+        count: unknowns of the knots.
+        offsets: of all points, pixels.
+        per_metre: pixels, at the person.
+        focal: length, pixels.
+        fixed_precision: of the unknowns that follow the knots.
+        noise: standard deviation of outlines about the last fit, pixels.
+        row_weights: of all points.
+    """
+
+    def __init__(
+        self,
+        seen: Sequence[tuple[int, Witness]],
+        weights: Floats,
+        patch: Ints,
+        values: Floats,
+        registered: bool,
+    ) -> None:
+        self._seen, self._spline_weights, self._patch = seen, weights, patch
+        self.knots = len(values)
+        self.count = self.knots * POSE_COLUMNS
+        self.offsets = np.concatenate([w.offsets for _, w in seen])
+        self._ends = np.cumsum([0] + [len(w.offsets) for _, w in seen])
+        size = float(np.median([w.size for _, w in seen]))
+        shapes, patches = seen[0][1].shape.shape[1], int(patch.max()) + 1
+        self.per_metre = float(np.median(np.concatenate([w.per_metre for _, w in seen])))
+        self.focal = seen[0][1].focal
+        spread = np.full(3, KNOWN) if registered else np.array([SHIFT * size, SHIFT * size, SCALE])
+        self.fixed_precision = np.concatenate(
+            [
+                spread**-2.0,
+                np.full(shapes, SHAPE**-2.0),
+                [MEAN_STANDS_OFF**-2.0],
+                np.full(patches, STANDS_OFF**-2.0),
+            ]
+        )
+        self._extra = len(self.fixed_precision)
+        # what outlines would say of the poses as given
+        self._targets = self.offsets.copy()
+        for n, (k, w) in enumerate(seen):
+            self._targets[self._ends[n] : self._ends[n + 1]] += w.turns @ (weights[k] @ values)
+        self._residual = self.offsets - np.median(self.offsets)
+        self.noise = NOISE
+        self.row_weights = np.ones(len(self.offsets))
+
+    def weigh(self) -> None:
+        """Weighs rows by how well they fit (Tukey's biweight), and by how alike neighbours' errors are."""
+        self.noise = max(1.4826 * float(np.median(np.abs(self._residual))), NOISE)
+        weights = np.clip(1.0 - (self._residual / (BIWEIGHT * self.noise)) ** 2, 0.0, None) ** 2
+        self.row_weights = weights / (self._alike(weights) * self.noise**2)
+        self._assemble()
+
+    def _alike(self, weights: Floats) -> float:
+        """Returns how many points of an outline count as one, by how alike errors are in a place of a frame."""
+        found = []
+        for n, (_, w) in enumerate(self._seen):
+            own = slice(self._ends[n], self._ends[n + 1])
+            place = self._patch[w.vertices]
+            count = np.bincount(place, weights[own])
+            total = np.bincount(place, weights[own] * self._residual[own])
+            many = count > 2.0
+            found.append(total[many] ** 2 / count[many])
+        each = np.concatenate(found)
+        return (
+            max(CORRELATED, float(np.mean(np.minimum(each, np.percentile(each, 90)))) / self.noise**2)
+            if len(each)
+            else CORRELATED
+        )
+
+    def settle(self, solution: Floats) -> None:
+        """Takes the residual about a solution."""
+        self._residual = self._targets - self._predicted(solution)
+
+    def _predicted(self, solution: Floats) -> Floats:
+        values, extra = solution[: self.count].reshape(self.knots, -1), solution[self.count :]
+        parts = []
+        for k, w in self._seen:
+            parts.append(w.turns @ (self._spline_weights[k] @ values) + self._rows(w) @ extra)
+        return np.concatenate(parts)
+
+    def _rows(self, w: Witness) -> Floats:
+        rows = np.zeros((len(w.offsets), self._extra))
+        few = np.column_stack([w.picture, w.shape, w.per_metre])
+        rows[:, : few.shape[1]] = few
+        rows[np.arange(len(rows)), few.shape[1] + self._patch[w.vertices]] = w.per_metre
+        return rows
+
+    def _assemble(self) -> None:
+        total = self.count + self._extra
+        normal, right = np.zeros((total, total)), np.zeros(total)
+        size = POSE_COLUMNS
+        for n, (k, w) in enumerate(self._seen):
+            own = slice(self._ends[n], self._ends[n + 1])
+            rows = np.concatenate([w.turns, self._rows(w)], axis=1)
+            weighted = rows * self.row_weights[own, None]
+            block, part = weighted.T @ rows, weighted.T @ self._targets[own]
+            active = np.flatnonzero(self._spline_weights[k])
+            for a in active:
+                wa, sa = self._spline_weights[k, a], slice(a * size, (a + 1) * size)
+                right[sa] += wa * part[:size]
+                normal[sa, self.count :] += wa * block[:size, size:]
+                for b in active:
+                    normal[sa, b * size : (b + 1) * size] += (
+                        wa * self._spline_weights[k, b] * block[:size, :size]
+                    )
+            normal[self.count :, self.count :] += block[size:, size:]
+            right[self.count :] += part[size:]
+        normal[self.count :, : self.count] = normal[: self.count, self.count :].T
+        self._normal, self._right = normal, right
+
+    def solve(self, precision: Floats) -> tuple[Floats, Floats]:
+        """Returns the most likely unknowns, and their variances."""
+        # in units of the prior's spread the system is well scaled whatever it is
+        scale = precision**-0.5
+        scaled = self._normal * scale[:, None] * scale
+        scaled[np.diag_indices_from(scaled)] += 1.0
+        factor = cho_factor(scaled, lower=True, overwrite_a=True)
+        solution = scale * cho_solve(factor, scale * self._right)
+        inverse, _ = dpotri(factor[0], lower=1, overwrite_c=1)
+        return solution, scale**2 * np.diag(inverse)

@@ -1,0 +1,282 @@
+"""Poses put right by the outlines of masks, as far as these tell: before anything is trained.
+
+What an estimator got wrong is a smooth function of time: knots of a cubic B-spline, for each angle of each joint and
+for the place. The poses as given are the mean of a normal prior on them, and its spread is what the video itself makes
+most likely (MacKay, "Bayesian interpolation", 1992), for each part of the body by itself. Where poses are exact the
+spread comes out as next to nothing, and nothing moves; angles that outlines hardly tell stay where they are, whatever
+the others do. That takes a curvature: Gauss-Newton over the whole sequence, looking for outlines anew from where it has
+got to.
+
+Clothes, hair and a wrong shape stand off the body as well. They do so with the body, in all frames alike: what each
+of 300 places stands off, and the shape, are unknowns too, and so are a shift and a scale of the pictures. What is
+misfit of them is not taken for misfit of poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from occfusion.geometry.rotation import matrix_to_quaternion
+from occfusion.human.body import Body
+from occfusion.human.pose_spline import PoseSpline
+from occfusion.observation.outline_system import OutlineSystem
+from occfusion.observation.pose_witness import POSE_COLUMNS, REACH, Look, misfits, observe_outline
+from occfusion.types import Pose
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+PATCHES = 300
+GROUPS: dict[str, tuple[int, ...]] = {
+    "root": (0,), "trunk": (3, 6, 9, 12, 13, 14), "head": (15,), "hips": (1, 2), "knees": (4, 5),
+    "feet": (7, 8, 10, 11), "shoulders": (16, 17), "elbows": (18, 19), "hands": (20, 21, 22, 23),
+}  # fmt: skip
+"""Joints whose errors are alike: each group has one spread, the place another."""
+FIRST_TURN, FIRST_PLACE = 0.03, 0.01
+"""Radians and metres: spreads that the search begins with."""
+LEAST_TURN, LEAST_PLACE = 1e-4, 1e-4
+"""Spreads below which nothing is told from nothing."""
+MOST_TURN, MOST_PLACE = 0.06, 0.04
+"""Spreads that no estimator exceeds whose poses are of any use. Of somebody who does not turn, a pose that is off
+throughout and clothes that stand off can explain each other without end."""
+ROUNDS, SETTLING, EVIDENCE_STEPS = 3, 2, 2
+"""Looks at outlines with shift and scale of the pictures unknown, then without; estimates of the spreads in each."""
+CERTAIN = 5.0
+"""Standard deviations from which on pictures are certainly shifted or scaled, as in `data.registration`."""
+FULL_TURN, FULL_PLACE = 0.02, 0.01
+"""Radians and metres: spreads from which on training may move poses as fast as its rates say."""
+MOST_KNOTS = 60
+AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Of the correction, that are tried on frames that it was not found by."""
+LEAST_FRAMES = 10
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """What outlines say of the poses of a sequence.
+
+    Attributes:
+        turns: of the spline's knots, `[K, 24, 3]`, radians.
+        places: `[K, 3]`, metres.
+        spreads: standard deviation of what each group of joints, and the place, is off: radians, metres.
+        amount: of what outlines ask for, that is taken: with it bodies fit the masks of frames best that it was not
+            found by.
+        told: share of each turn that outlines tell, `[K, 24, 3]`, 0 to 1.
+        first: of the spline.
+        spacing: of the spline.
+        picture: shift in x and y, pixels, and scale less 1, that the pictures have beside the cameras, `[3]`.
+        picture_error: standard deviations of `picture`; a body that is misplaced throughout by as much as it wanders
+            explains it as well, and that is part of them.
+        noise: of outlines about the fit, pixels.
+        before: of outlines about the poses as given, pixels.
+    """
+
+    turns: Floats
+    places: Floats
+    spreads: dict[str, float]
+    amount: float
+    told: Floats
+    first: float
+    spacing: float
+    picture: Floats
+    picture_error: Floats
+    noise: float
+    before: float
+
+    @property
+    def shows_shift(self) -> bool:
+        """Whether pictures are certainly shifted or scaled against the cameras, whatever the poses are."""
+        return bool((np.abs(self.picture) > CERTAIN * self.picture_error).any())
+
+    def spline(self) -> PoseSpline:
+        """Returns the corrections, ready to be trained on: what the video hardly tells hardly moves."""
+        made = PoseSpline(self.first, self.spacing, len(self.turns), aligned=True)
+        group = np.zeros(24, np.int64)
+        for number, joints in enumerate(GROUPS.values()):
+            group[list(joints)] = number
+        spreads = np.array(list(self.spreads.values()))
+        reach = self.amount * self.told * np.minimum(1.0, spreads[group] / FULL_TURN)[:, None]
+        place = np.full(self.places.shape, self.amount * min(1.0, spreads[-1] / FULL_PLACE))
+        made.start_at(*(torch.from_numpy(part).float() for part in (self.turns, self.places, reach, place)))
+        return made
+
+    def text(self) -> str:
+        """Returns what was found, in words."""
+        turns = [value for name, value in self.spreads.items() if name != "place"]
+        return (
+            f"outlines lie {self.before:.2f} px off the poses as given and {self.noise:.2f} px off the aligned ones; "
+            f"joints are off by {np.degrees(np.median(turns)):.1f} degrees, the place by "
+            f"{1000 * self.spreads['place']:.0f} mm. Frames left out of the search fit best with {self.amount:g} of it"
+        )
+
+
+@torch.no_grad()
+def aligned_pose(pose: Pose, spline: PoseSpline, body: Body) -> Pose:
+    """Returns a frame's pose with the corrections of a spline in it."""
+    if pose.frame_index is None:
+        return pose
+    given = body.rotations(pose.global_orient, pose.body_pose)
+    rotations, transl = spline(pose.frame_index, given, pose.transl.to(given))
+    quats = matrix_to_quaternion(rotations.double())
+    quats = torch.where(quats[:, :1] < 0.0, -quats, quats)
+    sine = quats[:, 1:].norm(dim=1, keepdim=True)
+    angles = 2.0 * torch.atan2(sine, quats[:, :1])
+    turns = (quats[:, 1:] * angles / sine.clamp(min=1e-12)).to(given)
+    return Pose(pose.betas, turns[0], turns[1:].reshape(-1), transl, pose.frame_index)
+
+
+class Aligner:
+    """The search.
+
+    Args:
+        looks: at frames of one camera, in order of time.
+        body: of their poses.
+        every: frames from one knot to the next.
+        registered: shift and scale of the pictures are known: cameras are corrected.
+    """
+
+    def __init__(self, looks: Sequence[Look], body: Body, every: int, *, registered: bool = False) -> None:
+        self._looks, self._body, self._registered = looks, body, registered
+        numbers = [look.index for look in looks]
+        every = max(every, -(-len(looks) // MOST_KNOTS))
+        self._spline = PoseSpline.over(numbers, every)
+        self._weights = np.stack([spline_weights(self._spline, n) for n in numbers])
+        self._knots = self._spline.knots
+        rest = body.rest(looks[0].pose.betas).vertices.double().cpu().numpy()
+        self._patch = _patches(rest)
+        self._count = self._knots * POSE_COLUMNS
+        group = np.zeros(POSE_COLUMNS, np.int64)
+        for number, joints in enumerate(GROUPS.values()):
+            for joint in joints:
+                group[3 * joint : 3 * joint + 3] = number
+        group[72:] = len(GROUPS)
+        self._group = np.tile(group, self._knots)
+        self.spreads = np.full(len(GROUPS) + 1, FIRST_TURN)
+        self.spreads[-1] = FIRST_PLACE
+        self.values = np.zeros((self._knots, POSE_COLUMNS))
+        self.before = 0.0
+
+    def run(self) -> Alignment | None:
+        """Returns the alignment; None where outlines tell too little."""
+        picture, picture_error, everyone = np.zeros(3), np.ones(3), range(len(self._looks))
+        for number in range(ROUNDS):
+            reach = 2.0 * REACH if number == 0 else REACH
+            if not self._step(everyone, reach, self._registered):
+                return None
+            if not self._registered:
+                picture, picture_error = self._picture
+        if not self._step(everyone[::2], REACH, True):
+            return None
+        amount = self._best_amount(everyone[1::2])
+        for _ in range(SETTLING):
+            if not self._step(everyone, REACH, True):
+                return None
+        told = np.clip(1.0 - self._variance / self.spreads[self._group] ** 2, 0.0, 1.0)
+        return Alignment(
+            turns=amount * self.values[:, :72].reshape(-1, 24, 3),
+            places=amount * self.values[:, 72:],
+            spreads=dict(zip((*GROUPS, "place"), self.spreads.tolist(), strict=True)),
+            amount=amount,
+            told=told.reshape(self._knots, POSE_COLUMNS)[:, :72].reshape(-1, 24, 3),
+            first=self._spline.first,
+            spacing=self._spline.spacing,
+            picture=picture,
+            picture_error=picture_error,
+            noise=self.noise,
+            before=self.before,
+        )
+
+    def correction(self, position: int) -> tuple[Floats, Floats]:
+        """Returns turns `[24, 3]` and shift `[3]` of a frame by its position."""
+        value = self._weights[position] @ self.values
+        return value[:72].reshape(24, 3), value[72:]
+
+    def _best_amount(self, positions: Sequence[int]) -> float:
+        """Returns how much of the correction fits the masks of frames best that it was not found by."""
+        errors = [
+            misfits(
+                self._body, self._looks[k], [tuple(a * part for part in self.correction(k)) for a in AMOUNTS]
+            )
+            for k in positions
+        ]
+        return AMOUNTS[int(np.mean(errors, axis=0).argmin())]
+
+    def _step(self, positions: Sequence[int], reach: float, registered: bool) -> bool:
+        found = [
+            (k, observe_outline(self._body, self._looks[k], self.correction(k), reach)) for k in positions
+        ]
+        seen = [(k, witness) for k, witness in found if witness is not None]
+        if len(seen) < min(LEAST_FRAMES, len(positions)):
+            return False
+        system = OutlineSystem(seen, self._weights, self._patch, self.values, registered)
+        if not self.before:
+            self.before = 1.4826 * float(np.median(np.abs(system.offsets)))
+        precision = np.concatenate([self.spreads[self._group] ** -2.0, system.fixed_precision])
+        for _ in range(2):  # weights, from the residual about the last fit
+            system.weigh()
+            system.settle(system.solve(precision)[0])
+        system.weigh()
+        for _ in range(EVIDENCE_STEPS):
+            precision[: self._count] = self.spreads[self._group] ** -2.0
+            solution, variance = system.solve(precision)
+            self._update_spreads(solution[: self._count], variance[: self._count])
+        self.values = solution[: self._count].reshape(self._knots, POSE_COLUMNS)
+        few = slice(self._count, self._count + 3)
+        as_place = self.spreads[-1] * system.per_metre * np.array([1.0, 1.0, 1.0 / system.focal])
+        self._picture = solution[few], np.sqrt(variance[few] + as_place**2)
+        self._variance, self.noise = variance[: self._count], system.noise
+        return True
+
+    def _update_spreads(self, values: Floats, variance: Floats) -> None:
+        """Gives each group the spread that makes what is seen most likely, one step of MacKay's."""
+        for number in range(len(self.spreads)):
+            own = self._group == number
+            told = float((1.0 - variance[own] / self.spreads[number] ** 2).clip(0.0, 1.0).sum())
+            spread = np.sqrt(float((values[own] ** 2).sum()) / max(told, 1e-3))
+            is_place = number == len(GROUPS)
+            least, most = (LEAST_PLACE, MOST_PLACE) if is_place else (LEAST_TURN, MOST_TURN)
+            # a step of MacKay's may leap: by a factor of four at most
+            near = np.clip(spread, 0.25 * self.spreads[number], 4.0 * self.spreads[number])
+            self.spreads[number] = np.clip(near, least, most)
+
+
+def align_poses(
+    looks: Sequence[Look], body: Body, every: int, *, registered: bool = False
+) -> Alignment | None:
+    """Returns what outlines say of the poses of training frames; None where they tell too little.
+
+    Args:
+        looks: at the training frames, in order of time.
+        body: of their poses.
+        every: frames from one knot to the next; more where the sequence is long.
+        registered: shift and scale of the pictures are known: cameras are corrected.
+    """
+    if len(looks) < LEAST_FRAMES:
+        return None
+    return Aligner(looks, body, every, registered=registered).run()
+
+
+def spline_weights(spline: PoseSpline, frame: float) -> Floats:
+    """Returns how much each knot counts at a frame, `[K]`."""
+    place = (frame - spline.first) / spline.spacing
+    start = min(int(place), spline.knots - 4)
+    u, out = place - start, np.zeros(spline.knots)
+    out[start : start + 4] = (
+        np.array([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3]) / 6
+    )
+    return out
+
+
+def _patches(rest: Floats) -> Ints:
+    """Returns the place of each vertex, `[V]`: places lie as far from each other as can be."""
+    chosen, away = [0], np.linalg.norm(rest - rest[0], axis=1)
+    while len(chosen) < min(PATCHES, len(rest)):
+        chosen.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(rest - rest[chosen[-1]], axis=1))
+    return np.asarray(cKDTree(rest[chosen]).query(rest)[1], np.int64)

@@ -1,0 +1,221 @@
+"""What a mask says of a pose: where its outline lies beside the posed body's, and which turns would move it there.
+
+The derivatives are those of linear blend skinning, written out. Pose blend shapes are left out of them: they move an
+outline by less than they can be told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from occfusion.files.bodyfile import NUM_JOINTS
+from occfusion.geometry.camera import project_vertices
+from occfusion.geometry.outlines import outline_offsets
+from occfusion.geometry.rotation import axis_angle_to_matrix
+from occfusion.geometry.skinning import bone_transforms
+from occfusion.geometry.zbuffer import rasterize_mesh
+from occfusion.human.body import Body
+from occfusion.observation.evidence import person_size
+from occfusion.types import Camera, Frame, Pose
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+POSE_COLUMNS = 3 * NUM_JOINTS + 3
+"""Turns of all joints, then the place."""
+REACH = 0.04
+"""Of the person's size: farther edges are not this outline's. The first look reaches twice as far."""
+SAMPLES = 2
+"""A side, in each pixel of the projected body."""
+OCCLUDER = 0.02
+"""Of the person's size: half the width from which on what is missing of the body is hidden rather than misplaced. A leg
+is 0.07 wide, an arm 0.05."""
+
+
+@dataclass(frozen=True)
+class Witness:
+    """Points of the outline of one frame, `[N]` each.
+
+    Attributes:
+        offsets: from the body's outline to the mask's along the normal, pixels.
+        turns: pixels along the normal that a unit of each turn and of the place gives, `[N, 75]`.
+        shape: the same of each shape component, `[N, B]`.
+        picture: the same of a shift of the picture in x and y, pixels, and of a scale about its principal point,
+            `[N, 3]`.
+        per_metre: pixels of a metre along the normal.
+        vertices: of the body, at the points.
+        size: of the person in the picture, pixels.
+        focal: length, pixels.
+    """
+
+    offsets: Floats
+    turns: Floats
+    shape: Floats
+    picture: Floats
+    per_metre: Floats
+    vertices: NDArray[np.int64]
+    size: float
+    focal: float
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the alignment needs of a training frame.
+
+    Attributes:
+        index: number of the frame in the sequence.
+        pose: as given.
+        camera: at the size of the mask.
+        seen: the visible person, `[H, W]`.
+    """
+
+    index: int
+    pose: Pose
+    camera: Camera
+    seen: Mask
+
+    @classmethod
+    def at(cls, frame: Frame) -> Look:
+        """Returns it of a frame."""
+        return cls(frame.index, frame.pose, frame.camera, frame.visible_mask.cpu().numpy())
+
+
+@torch.no_grad()
+def observe_outline(
+    body: Body, look: Look, correction: tuple[Floats, Floats], reach: float
+) -> Witness | None:
+    """Returns what the mask of a frame says of its pose; None where no outline of it is found.
+
+    Args:
+        body: of the pose.
+        look: at the frame.
+        correction: turns multiplied from the right, axis-angles `[24, 3]`, and a shift `[3]`, metres.
+        reach: farthest offset that is looked for, of the person's size.
+    """
+    pose, camera, seen = look.pose, look.camera, look.seen
+    turns, shift = (torch.from_numpy(part).double() for part in correction)
+    figure = _Figure(body, pose, turns, shift)
+    viewmat, K = (part.double().cpu().numpy() for part in (camera.viewmat, camera.K))
+    pixels, depth = project_vertices(figure.vertices, viewmat, K)
+    faces = body.faces.cpu().numpy()
+    height, width = seen.shape
+    zbuffer = rasterize_mesh(SAMPLES * pixels, depth, faces, SAMPLES * width, SAMPLES * height)
+    samples = zbuffer.face.reshape(height, SAMPLES, width, SAMPLES)
+    coverage = (samples >= 0).mean(axis=(1, 3), dtype=np.float32)
+    size = person_size(coverage > 0.5)
+    if size < 8.0 or not seen.any():
+        return None
+    found = outline_offsets(coverage, seen, max(reach * size, 3.0))
+    ends = found.points + found.normals * (found.offsets[:, None] + 1.5)
+    column, row = np.clip(ends.astype(int), 0, [width - 1, height - 1]).T
+    kept = ~_hidden(coverage > 0.5, seen, size)[row, column]
+    if kept.sum() < 10:
+        return None
+    face = samples.max(axis=(1, 3))[found.pixels[kept, 0], found.pixels[kept, 1]]
+    vertices = faces[face, 0]
+    normals, points = found.normals[kept], found.points[kept]
+    per_metre = K[0, 0] / depth[vertices]
+    # the derivative of a projected point by its place in the world, along the normal
+    inwards = ((points - K[:2, 2]) * normals).sum(axis=1) / K[0, 0]
+    moves = per_metre[:, None] * (normals @ viewmat[:2, :3] - inwards[:, None] * viewmat[2, :3])
+    by_turns, by_shape = figure.derivatives(vertices)
+    return Witness(
+        offsets=found.offsets[kept],
+        turns=np.concatenate([np.einsum("nc,nkc->nk", moves, by_turns), moves], axis=1),
+        shape=np.einsum("nc,nkc->nk", moves, by_shape),
+        picture=np.column_stack([normals, inwards * K[0, 0]]),
+        per_metre=per_metre,
+        vertices=vertices,
+        size=size,
+        focal=float(K[0, 0]),
+    )
+
+
+def misfits(body: Body, look: Look, corrections: Sequence[tuple[Floats, ...]]) -> Floats:
+    """Returns how far the body and the mask of a frame differ under corrections of the pose, of the body's pixels.
+
+    What is hidden by the first of them is left out of all.
+
+    Args:
+        body: of the pose.
+        look: at the frame.
+        corrections: turns `[24, 3]` and shift `[3]` each.
+    """
+    found, area = [], 1
+    hidden = np.zeros_like(look.seen)
+    for number, correction in enumerate(corrections):
+        turns, shift = (torch.from_numpy(part).double() for part in correction)
+        figure = _Figure(body, look.pose, turns, shift)
+        viewmat, K = (part.double().cpu().numpy() for part in (look.camera.viewmat, look.camera.K))
+        pixels, depth = project_vertices(figure.vertices, viewmat, K)
+        height, width = look.seen.shape
+        covered = rasterize_mesh(pixels, depth, body.faces.cpu().numpy(), width, height).face >= 0
+        if number == 0:
+            hidden, area = _hidden(covered, look.seen, person_size(covered)), max(1, int(covered.sum()))
+        found.append(float(((covered ^ look.seen) & ~hidden).sum()) / area)
+    return np.array(found)
+
+
+def _hidden(body: Mask, seen: Mask, size: float) -> Mask:
+    """Returns where something stands before the body, or what a segmenter has left out: not merely beside the pose."""
+    radius = max(1, round(OCCLUDER * size))
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    core = cv2.morphologyEx((body & ~seen).astype(np.uint8), cv2.MORPH_OPEN, disk)
+    return cv2.dilate(np.asarray(core), disk).astype(bool)
+
+
+class _Figure:
+    """A posed body, and how its vertices move with turns, place and shape. All in float64."""
+
+    def __init__(self, body: Body, pose: Pose, turns: torch.Tensor, shift: torch.Tensor) -> None:
+        self._body = body
+        rotations = body.rotations(pose.global_orient, pose.body_pose).double().cpu()
+        rotations = rotations @ axis_angle_to_matrix(turns)
+        rest = body.rest(pose.betas)
+        self._rest, self._joints = (part.double().cpu().numpy() for part in (rest.vertices, rest.joints))
+        transforms = bone_transforms(rotations, torch.from_numpy(self._joints), body.parents)
+        self._turns = transforms[:, :3, :3].numpy()
+        self._shifts = transforms[:, :3, 3].numpy()
+        self._weights = body.weights.double().cpu().numpy()
+        self._place = pose.transl.double().cpu().numpy() + shift.numpy()
+        points = self._rest + body.pose_offsets(rotations.to(body.v_template)).double().cpu().numpy()
+        linear = (self._weights @ self._turns.reshape(NUM_JOINTS, 9)).reshape(-1, 3, 3)
+        self.vertices = np.einsum("vij,vj->vi", linear, points) + self._weights @ self._shifts + self._place
+
+    def derivatives(self, chosen: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        """Returns how vertices move with each turn `[N, 72, 3]` and with each shape component `[N, B, 3]`."""
+        weights, rest = self._weights[chosen], self._rest[chosen]
+        parents = self._body.parents
+        # where each bone alone would have the vertices, less the joint it turns about, summed over what hangs on it
+        places = np.einsum("kij,nj->nki", self._turns, rest) + self._shifts
+        weighted, share = weights[..., None] * places, weights.copy()
+        for joint in range(NUM_JOINTS - 1, 0, -1):
+            weighted[:, parents[joint]] += weighted[:, joint]
+            share[:, parents[joint]] += share[:, joint]
+        joints = np.einsum("kij,kj->ki", self._turns, self._joints) + self._shifts
+        arms = weighted - share[..., None] * joints
+        # a turn multiplied from the right turns about an axis of the joint as it stands: (G w) x arm
+        axes = np.swapaxes(self._turns, 1, 2)
+        by_turns = np.cross(axes[None], arms[:, :, None, :]).reshape(len(chosen), -1, 3)
+        return by_turns, self._by_shape(weights, chosen)
+
+    def _by_shape(self, weights: Floats, chosen: NDArray[np.int64]) -> Floats:
+        body = self._body
+        directions = body.shapedirs[torch.from_numpy(chosen)].double().cpu().numpy()
+        joint_dirs = body.joint_dirs.double().cpu().numpy()
+        # places of joints are linear in joints at rest; the root stays where it is at rest
+        moved = np.empty_like(joint_dirs)
+        moved[0] = joint_dirs[0]
+        for joint in range(1, NUM_JOINTS):
+            parent = body.parents[joint]
+            moved[joint] = moved[parent] + self._turns[parent] @ (joint_dirs[joint] - joint_dirs[parent])
+        shifts = moved - np.einsum("kij,kjb->kib", self._turns, joint_dirs)
+        linear = (weights @ self._turns.reshape(NUM_JOINTS, 9)).reshape(-1, 3, 3)
+        out = np.einsum("nij,njb->nib", linear, directions) + np.einsum("nk,kib->nib", weights, shifts)
+        return np.swapaxes(out, 1, 2)

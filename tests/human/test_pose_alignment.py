@@ -1,0 +1,289 @@
+"""Poses aligned with outlines: derivatives, the linear system, what is recovered, and what is left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from occfusion.geometry.camera import project_vertices
+from occfusion.geometry.rotation import axis_angle_to_matrix
+from occfusion.geometry.zbuffer import rasterize_mesh
+from occfusion.human import Avatar, Body, PoseSpline, embedded_body, load_avatar, save_avatar
+from occfusion.observation import pose_alignment
+from occfusion.observation.outline_system import OutlineSystem
+from occfusion.observation.pose_alignment import GROUPS, Aligner, align_poses, aligned_pose, spline_weights
+from occfusion.observation.pose_witness import Look, _Figure, observe_outline
+from occfusion.types import Camera, Pose
+
+SIZE, FRAMES = 112, 32
+Floats = np.ndarray
+
+
+@pytest.fixture(scope="module")
+def whole_body() -> Body:
+    return embedded_body()
+
+
+def camera() -> Camera:
+    K = torch.tensor([[120.0, 0.0, 56.0], [0.0, 120.0, 56.0], [0.0, 0.0, 1.0]])
+    viewmat = torch.tensor(
+        [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, 2.6], [0.0, 0.0, 0.0, 1.0]]
+    )
+    return Camera(viewmat, K, SIZE, SIZE)
+
+
+def motion(frame: float) -> Pose:
+    """Somebody who turns round and moves arms and legs."""
+    turns = torch.zeros(24, 3)
+    turns[0, 1] = 0.2 * frame
+    turns[1, 0], turns[2, 0] = 0.3 * np.sin(0.4 * frame), -0.3 * np.sin(0.4 * frame)
+    turns[16, 2], turns[17, 2] = -0.6 + 0.2 * np.sin(0.3 * frame), 0.6 + 0.2 * np.cos(0.3 * frame)
+    turns[18, 1], turns[19, 1] = -0.4, 0.4
+    return Pose(torch.zeros(10), turns[0], turns[1:].reshape(-1), torch.zeros(3), frame)
+
+
+def mask_of(body: Body, pose: Pose) -> Floats:
+    vertices, _ = body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)
+    own = camera()
+    pixels, depth = project_vertices(
+        vertices.double().numpy(), own.viewmat.double().numpy(), own.K.double().numpy()
+    )
+    seen = rasterize_mesh(4 * pixels, depth, body.faces.numpy(), 4 * SIZE, 4 * SIZE).face >= 0
+    return seen.reshape(SIZE, 4, SIZE, 4).mean(axis=(1, 3)) > 0.5
+
+
+def looks(
+    body: Body, given: Callable[[int], Pose], true: Callable[[int], Pose], hide: slice | None = None
+) -> list[Look]:
+    found = []
+    for k in range(FRAMES):
+        mask = mask_of(body, true(k))
+        if hide is not None and k < 0.8 * FRAMES:
+            mask[:, hide] = False
+        found.append(Look(k, given(k), camera(), mask))
+    return found
+
+
+def joints_of(body: Body, pose: Pose) -> Floats:
+    return body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)[1].double().numpy()[:22]
+
+
+def off(body: Body, found: list[Pose], true: Callable[[int], Pose]) -> tuple[float, float]:
+    """Root mean square distances of joints across and along the line of sight, millimetres."""
+    each = np.stack([joints_of(body, p) - joints_of(body, true(k)) for k, p in enumerate(found)])
+    across, along = each[..., :2], each[..., 2]
+    return 1000 * float(np.sqrt((across**2).sum(-1).mean())), 1000 * float(np.sqrt((along**2).mean()))
+
+
+def wrong(spread: float, place: float = 0.0) -> Callable[[int], Pose]:
+    """The motion with errors that are smooth in time."""
+    spline = PoseSpline.over(range(FRAMES), 6)
+    generator = torch.Generator().manual_seed(5)
+    spline.turns.data = spread * torch.randn(spline.turns.shape, generator=generator)
+    spline.places.data = place * torch.randn(spline.places.shape, generator=generator)
+    body = embedded_body()
+    return lambda k: aligned_pose(motion(k), spline, body)
+
+
+def test_derivatives_are_those_of_the_body(whole_body: Body) -> None:
+    """Central differences of the body's own forward pass, in float64, by turns from the right, place and shape."""
+    body = embedded_body(torch.float64)
+    pose = motion(7)
+    turns, shift = 0.05 * torch.randn(24, 3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
+    figure = _Figure(body, pose, turns, shift)
+    chosen = np.arange(0, body.num_vertices, 97)
+    by_turns, by_shape = figure.derivatives(chosen)
+
+    def vertices(extra: torch.Tensor, betas: torch.Tensor) -> Floats:
+        given = body.rotations(pose.global_orient, pose.body_pose) @ axis_angle_to_matrix(turns)
+        moved = replace(pose, betas=betas, frame_index=0.0)
+        spline = PoseSpline(0.0, 1.0, 4).double()
+        spline.turns.data[:] = 0.0
+        rotations = given @ axis_angle_to_matrix(extra)
+        from occfusion.geometry.skinning import blend, bone_transforms, skin_points
+
+        rest = body.rest(moved.betas)
+        transforms = bone_transforms(rotations, rest.joints, body.parents)
+        points = rest.vertices + body.pose_offsets(rotations)
+        return skin_points(points, blend(body.weights, transforms))[chosen].numpy()
+
+    nothing, step = torch.zeros(24, 3, dtype=torch.float64), 1e-5
+    betas = torch.zeros(10, dtype=torch.float64)
+    for joint, axis in ((0, 1), (3, 0), (4, 2), (16, 1), (19, 0)):
+        ahead, behind = nothing.clone(), nothing.clone()
+        ahead[joint, axis], behind[joint, axis] = step, -step
+        wanted = (vertices(ahead, betas) - vertices(behind, betas)) / (2 * step)
+        np.testing.assert_allclose(by_turns[:, 3 * joint + axis], wanted, atol=1e-7)
+    for component in (0, 4):
+        ahead = betas.clone()
+        ahead[component] = step
+        wanted = (vertices(nothing, ahead) - vertices(nothing, -ahead)) / (2 * step)
+        np.testing.assert_allclose(by_shape[:, component], wanted, atol=1e-7)
+
+
+def test_outlines_move_as_the_derivatives_say(whole_body: Body) -> None:
+    """A mask of a body that is 1 cm to the side and has an arm turned lies as far off as predicted."""
+    given, spline = motion(3), PoseSpline(0.0, 10.0, 4)
+    spline.turns.data[:, 16, 2] = 0.06
+    spline.places.data[:, 0] = 0.01
+    mask = mask_of(whole_body, aligned_pose(given, spline, whole_body))
+    nothing = np.zeros((24, 3)), np.zeros(3)
+    found = observe_outline(whole_body, Look(3, given, camera(), mask), nothing, 0.06)
+    assert found is not None and len(found.offsets) > 100
+    unknowns = np.zeros(75)
+    unknowns[3 * 16 + 2], unknowns[72] = 0.06, 0.01
+    predicted = found.turns @ unknowns
+    assert np.abs(predicted).max() > 0.8
+    # each point is as far off as a binary mask is a staircase, and all together are not
+    assert np.median(np.abs(found.offsets - predicted)) < 0.2
+    assert np.corrcoef(found.offsets, predicted)[0, 1] > 0.85
+    slope = (predicted * found.offsets).sum() / (predicted**2).sum()
+    assert slope == pytest.approx(1.0, abs=0.07)
+
+
+def test_knots_weigh_as_the_spline_does() -> None:
+    spline = PoseSpline.over(range(20), 4)
+    spline.places.data = torch.randn(spline.places.shape)
+    for frame in (0, 3, 11, 19):
+        wanted = spline.at(frame)[1].detach().numpy()
+        np.testing.assert_allclose(
+            spline_weights(spline, frame) @ spline.places.detach().numpy(), wanted, atol=1e-6
+        )
+
+
+def test_the_system_is_solved_as_stacked_least_squares(
+    whole_body: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against rows one below the other with the prior as further rows, by a solver for such; and the variances."""
+    monkeypatch.setattr(pose_alignment, "PATCHES", 12)
+    aligner = Aligner(looks(whole_body, motion, wrong(0.03))[:12], whole_body, 8)
+    seen = [
+        (k, w)
+        for k, look in enumerate(aligner._looks)
+        if (w := observe_outline(whole_body, look, aligner.correction(k), 0.08))
+    ]
+    system = OutlineSystem(seen, aligner._weights, aligner._patch, aligner.values, False)
+    system.weigh()
+    rng = np.random.default_rng(0)
+    precision = np.concatenate([rng.uniform(1e2, 1e4, system.count), system.fixed_precision])
+    solution, variance = system.solve(precision)
+    rows = np.concatenate(
+        [np.concatenate([np.kron(aligner._weights[k], w.turns), system._rows(w)], axis=1) for k, w in seen]
+    )
+    root = np.sqrt(system.row_weights)
+    stacked = np.concatenate([rows * root[:, None], np.diag(np.sqrt(precision))])
+    targets = np.concatenate([np.concatenate([w.offsets for _, w in seen]) * root, np.zeros(len(precision))])
+    wanted = np.linalg.lstsq(stacked, targets, rcond=None)[0]
+    np.testing.assert_allclose(solution, wanted, atol=1e-6 * np.abs(wanted).max())
+    inverse = np.linalg.inv(stacked.T @ stacked)
+    np.testing.assert_allclose(variance, np.diag(inverse), rtol=1e-5)
+
+
+def aligned(body: Body, found: list[Look]) -> tuple[pose_alignment.Alignment, list[Pose]]:
+    alignment = align_poses(found, body, 4)
+    assert alignment is not None
+    spline = alignment.spline()
+    return alignment, [aligned_pose(look.pose, spline, body) for look in found]
+
+
+@pytest.mark.slow
+def test_wrong_poses_are_put_right(whole_body: Body) -> None:
+    found = looks(whole_body, wrong(0.06, 0.02), motion)
+    before = off(whole_body, [look.pose for look in found], motion)
+    alignment, poses = aligned(whole_body, found)
+    after = off(whole_body, poses, motion)
+    assert before[0] > 25.0 and before[1] > 15.0
+    assert after[0] < 0.4 * before[0]
+    assert after[1] < 0.9 * before[1]
+    assert alignment.noise < 0.3 < alignment.before
+    assert not alignment.shows_shift
+    limbs = [alignment.spreads[name] for name in ("hips", "knees", "shoulders", "elbows")]
+    assert 0.02 < np.median(limbs) < 0.12  # 0.06 was given
+
+
+@pytest.mark.slow
+def test_right_poses_are_left_alone(whole_body: Body) -> None:
+    alignment, poses = aligned(whole_body, looks(whole_body, motion, motion))
+    assert max(off(whole_body, poses, motion)) < 1.5
+    assert alignment.spline().place_reach.max() < 0.15  # type: ignore[union-attr]
+
+
+@pytest.mark.slow
+def test_another_build_is_not_taken_for_poses(whole_body: Body) -> None:
+    """The person is broader and taller than the body as given: joints hardly move for that."""
+    betas = torch.tensor([0.3, 0.8, -0.6, 0.5, 0.0, 0.0, 0.4, 0.0, 0.0, 0.0])
+
+    def true(k: int) -> Pose:
+        return replace(motion(k), betas=betas)
+
+    found = looks(whole_body, motion, true)
+    alignment, poses = aligned(whole_body, found)
+    assert alignment.before > 0.5  # pixels: there is much to misunderstand
+    assert max(off(whole_body, poses, motion)) < 6.0
+
+
+@pytest.mark.slow
+def test_a_strip_in_front_is_no_outline(whole_body: Body) -> None:
+    found = looks(whole_body, motion, motion, hide=slice(50, 60))
+    _, poses = aligned(whole_body, found)
+    assert max(off(whole_body, poses, motion)) < 4.0
+    found = looks(whole_body, wrong(0.06, 0.02), motion, hide=slice(50, 60))
+    before = off(whole_body, [look.pose for look in found], motion)
+    _, poses = aligned(whole_body, found)
+    assert off(whole_body, poses, motion)[0] < 0.6 * before[0]
+
+
+@pytest.mark.slow
+def test_a_shift_of_all_pictures_is_told_from_poses(whole_body: Body) -> None:
+    own = camera()
+    K = own.K.clone()
+    K[0, 2] -= 0.8
+    found = [replace(look, camera=replace(own, K=K)) for look in looks(whole_body, motion, motion)]
+    alignment = align_poses(found, whole_body, 4)
+    assert alignment is not None and alignment.shows_shift
+    np.testing.assert_allclose(alignment.picture[:2], [0.8, 0.0], atol=0.15)
+
+
+def test_too_few_frames_tell_nothing(whole_body: Body) -> None:
+    found = looks(whole_body, motion, motion)
+    assert align_poses(found[:9], whole_body, 4) is None
+    empty = [replace(look, seen=np.zeros_like(look.seen)) for look in found]
+    assert align_poses(empty, whole_body, 4) is None
+
+
+def test_groups_have_each_joint_once() -> None:
+    assert sorted(joint for joints in GROUPS.values() for joint in joints) == list(range(24))
+
+
+def test_what_the_video_does_not_tell_hardly_learns() -> None:
+    spline = PoseSpline(0.0, 4.0, 6, aligned=True)
+    base, reach = 0.1 * torch.randn(6, 24, 3), torch.rand(6, 24, 3)
+    reach[:, 5] = 0.0
+    spline.start_at(base, torch.ones(6, 3), reach, torch.zeros(6, 3))
+    plain = PoseSpline(0.0, 4.0, 6)
+    plain.turns.data, plain.places.data = base.clone(), torch.ones(6, 3)
+    torch.testing.assert_close(spline.at(5)[0], plain.at(5)[0])
+    before = [part.detach().clone() for part in spline.at(5)]
+    adam = torch.optim.Adam(spline.parameters(), lr=1e-2)
+    turns, places = spline.at(5)
+    (turns.sum() + places.sum()).backward()
+    adam.step()
+    moved = [(a - b).abs().detach() for a, b in zip(spline.at(5), before, strict=True)]
+    assert not moved[0][5].any() and not moved[1].any()
+    assert moved[0][0].min() > 0.0
+    with pytest.raises(ValueError, match="aligned"):
+        plain.start_at(base, torch.ones(6, 3), reach, torch.zeros(6, 3))
+
+
+def test_an_aligned_spline_survives_its_file(body: Body, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    spline = PoseSpline(0.0, 4.0, 6, aligned=True)
+    spline.start_at(torch.randn(6, 24, 3), torch.randn(6, 3), torch.rand(6, 24, 3), torch.rand(6, 3))
+    save_avatar(tmp_path / "a.safetensors", Avatar(body, pose_spline=spline))
+    found = load_avatar(tmp_path / "a.safetensors", body).pose_spline
+    assert found is not None and found.aligned
+    for ours, theirs in zip(spline.at(7), found.at(7), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=0)
