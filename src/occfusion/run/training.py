@@ -78,6 +78,7 @@ def fit(
     steps: int,
     devices: int = 1,
     measuring: Sequence[L.Callback] = (),
+    watching: Sequence[L.Callback] = (),
     pictured: Pictured | None = None,
 ) -> Fitted:
     """Trains a stage; returns how that ended.
@@ -91,6 +92,7 @@ def fit(
         steps: of the stage, unless `trainer.max_steps` has another number.
         devices: processes that train together.
         measuring: callbacks that measure; they come before a checkpoint is written.
+        watching: callbacks that come after all others.
         pictured: what loggers get pictures of; None: there are none.
 
     Raises:
@@ -108,6 +110,7 @@ def fit(
         callbacks.append(Checkpointing(checkpoint, chosen.checkpoint_every))
     if progress:
         callbacks.append(ProgressLine())
+    callbacks += watching
     trainer = L.Trainer(
         accelerator=chosen.accelerator,
         devices=devices,
@@ -146,6 +149,7 @@ class AvatarTraining:
         metric: of the perceptual loss term; None where no stage has it.
         evaluation_metric: of the error curve; None where it has no perceptual figure.
         renderer: draws avatars.
+        watching: callbacks that come last, for whoever looks at the training from outside.
     """
 
     settings: Settings
@@ -160,6 +164,7 @@ class AvatarTraining:
     metric: PerceptualMetric | None
     evaluation_metric: PerceptualMetric | None
     renderer: Renderer
+    watching: Sequence[L.Callback] = ()
 
     def warm_up(self, name: str) -> None:
         """Compiles what the first step would wait for, so that a machine's first run trains no longer than others."""
@@ -241,7 +246,8 @@ class AvatarTraining:
         avatar.train()
         done = fit(
             stage, data, settings, self.folder, own.checkpoint, steps=steps,
-            devices=settings.trainer.devices, measuring=measuring, pictured=Pictured(views, render),
+            devices=settings.trainer.devices, measuring=measuring, watching=self.watching,
+            pictured=Pictured(views, render),
         )  # fmt: skip
         if is_helper():
             return

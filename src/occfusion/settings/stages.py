@@ -306,7 +306,7 @@ class OptimSettings(AvatarSettings):
         4, "training frames from one knot to the next of the corrections frame by frame; 0: none", 0, 10_000
     )
     learn_skinning: bool = setting(True, "GauHuman's network of skinning weights")
-    skinning_every: int = setting(4, "steps from one evaluation of it to the next", 1, 10_000)
+    skinning_every: int = setting(8, "steps from one evaluation of it to the next", 1, 10_000)
     sds: SdsSettings = field(default_factory=SdsSettings)
 
     def check(self, group: str) -> None:
