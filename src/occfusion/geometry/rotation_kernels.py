@@ -1,5 +1,7 @@
-"""`rotation.axis_angle_to_matrix` vector by vector, with the gradient written out: two dozen joints are two dozen tiny
-operations to autograd, forth and back."""
+"""`rotation.axis_angle_to_matrix` vector by vector, with the gradient written out.
+
+Two dozen joints are two dozen tiny operations to autograd, there and back.
+"""
 
 from __future__ import annotations
 

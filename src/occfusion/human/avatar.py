@@ -170,7 +170,7 @@ class Avatar(nn.Module):
         rotations, transl = self._corrected(pose)
         betas = body.check_betas(pose.betas)
         joints = body.joint_template + body.joint_dirs[:, :, : len(betas)] @ betas
-        transforms = bone_transforms(rotations, joints, body.parents)
+        transforms = bone_transforms(rotations, joints, body.parents, compiled=True)
         binding = self._binding()
         posed_maps = blend_columns(binding.weights, transforms, transl)
         offsets = self._offsets(betas, rotations)

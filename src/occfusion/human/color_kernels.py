@@ -89,7 +89,7 @@ def _array(tensor: Tensor) -> Array:
 def _direction(
     means: Array, linear: Array, centre: Array, n: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, bool]:
-    """The unit direction that a Gaussian is seen along, turned back with it, 1 / length, and whether that is bounded."""
+    """The unit direction that a Gaussian is seen along, turned back with it; 1 / length; whether that is bounded."""
     x, y, z = means[n, 0] - centre[0], means[n, 1] - centre[1], means[n, 2] - centre[2]
     a = linear[0, 0, n] * x + linear[1, 0, n] * y + linear[2, 0, n] * z
     b = linear[0, 1, n] * x + linear[1, 1, n] * y + linear[2, 1, n] * z

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import lightning as L
 import torch
-from omegaconf import DictConfig
 
 import occfusion.human.avatar as avatar_module
 import occfusion.stages.avatar as avatar_stage_module
 import occfusion.stages.optim as optim_module
 import occfusion.stages.refine as refine_module
 from occfusion.bench.probes import BACKWARD, FORWARD, Probes, Spent
+from occfusion.bench.steps import PERCEPTUAL, RASTERISER, PartTime, StepProfile
 from occfusion.data import HumanDataModule
 from occfusion.quality import losses
 from occfusion.run.optim import Optimisation
 from occfusion.run.prepare import build, claim, decide, observe
 from occfusion.run.refine import Refinement
-from occfusion.settings.schema import load_settings
+from occfusion.settings.schema import Settings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.losses_log import LossLog
 
@@ -29,77 +29,6 @@ LIGHTNING = "Lightning: loop, hooks, batch"
 BLOCK = 16
 """Steps with probes, then as many without: a multiple of the steps between two perceptual terms and of all other turns
 but those of densification and of looking up vertices, which fall where they fall."""
-PERCEPTUAL = "perceptual term"
-RASTERISER = "rasteriser"
-
-
-@dataclass(frozen=True)
-class PartTime:
-    """A part of a step, or all of it; milliseconds a step.
-
-    Attributes:
-        name: of the part.
-        forward_cpu: processor time of its forward pass, or of all of it where it has no other.
-        backward_cpu: of its backward pass.
-        wall: time on the wall of both.
-    """
-
-    name: str
-    forward_cpu: float
-    backward_cpu: float
-    wall: float
-
-    @property
-    def cpu(self) -> float:
-        """Processor time of both passes."""
-        return self.forward_cpu + self.backward_cpu
-
-
-@dataclass(frozen=True)
-class StepProfile:
-    """What the steps of a stage consist of.
-
-    Attributes:
-        stage: name of the stage.
-        gaussians: at the end.
-        size: longer side of the pictures, pixels.
-        threads: of torch and the kernels.
-        steps: that were measured, with probes and as many without.
-        parts: with the most expensive first.
-        measured: a step without any probe active, steps with and without in turn.
-    """
-
-    stage: str
-    gaussians: int
-    size: int
-    threads: int
-    steps: int
-    parts: tuple[PartTime, ...]
-    measured: PartTime
-
-    @property
-    def total(self) -> PartTime:
-        """All parts together."""
-        return PartTime(
-            "sum",
-            sum(part.forward_cpu for part in self.parts),
-            sum(part.backward_cpu for part in self.parts),
-            sum(part.wall for part in self.parts),
-        )
-
-    @property
-    def agreement(self) -> float:
-        """Processor time of the parts together over that of a step without probes."""
-        return self.total.cpu / self.measured.cpu
-
-    def share(self, *names: str) -> float:
-        """Returns the processor time of some parts, milliseconds."""
-        return sum(part.cpu for part in self.parts if part.name in names)
-
-    @property
-    def everything_else(self) -> float:
-        """Processor time of all but the perceptual term and the rasteriser, milliseconds."""
-        return self.total.cpu - self.share(PERCEPTUAL, RASTERISER)
 
 
 class StepWatch(L.Callback):
@@ -182,8 +111,7 @@ def put_probes(probes: Probes, trainer: L.Trainer, stage: AvatarStage) -> None:
     probes.around(stage.avatar, "_binding", "skinning weights and maps to rest")
     probes.around(stage.avatar, "_corrected", "pose corrections")
     probes.around(stage.avatar, "_offsets", "blend shapes")
-    probes.around(avatar_module, "seen_colors", "harmonics and light")
-    probes.around(stage.avatar, "brightness", "harmonics and light")
+    probes.around(avatar_module, "posed_colors", "harmonics and light")
     probes.around(avatar_stage_module, "person_box", "the person's box")
     probes.around(stage._renderer, "draw", RASTERISER, not_in=surface)
     probes.around(stage, "training_step", "sum of the terms")
@@ -222,22 +150,32 @@ def put_probes(probes: Probes, trainer: L.Trainer, stage: AvatarStage) -> None:
     probes.beside(data.views, "train_frame", "frames unpacked, ahead of the step")
 
 
-def profile_stages(config: DictConfig, rounds: int, block: int = BLOCK) -> Iterator[StepProfile]:
+def profile_stages(
+    settings: Settings, gaussians: int, rounds: int, block: int = BLOCK
+) -> Iterator[StepProfile]:
     """Yields the profiles of the stages that train an avatar, in a run like any other.
 
     Args:
-        config: composed; the lengths of the stages are set here.
+        settings: of the run; the lengths of the stages are set here, and all bands of harmonics are in use from the
+            first step on, as they are for most of a usual run.
+        gaussians: at the start of both stages, as far as the body has places for them.
         rounds: see `StepWatch`.
         block: see `StepWatch`.
     """
-    watch = StepWatch(int(config.dataset.image_size), rounds, block)
-    config.optim.steps = config.refine.steps = watch.steps
-    config.evaluation.curve = False  # the clock of training stands still meanwhile, too
-    config.trainer.checkpoint_every = 2 * watch.steps
-    settings = load_settings(config)
+    watch = StepWatch(settings.dataset.image_size, rounds, block)
+    settings = replace(
+        settings,
+        optim=replace(settings.optim, steps=watch.steps, sh_every=1),
+        refine=replace(settings.refine, steps=watch.steps, sh_every=1),
+        # the clock of training stands still meanwhile, too
+        evaluation=replace(settings.evaluation, curve=False),
+        trainer=replace(settings.trainer, checkpoint_every=2 * watch.steps),
+    )
     L.seed_everything(settings.seed, verbose=False)
     observed = observe(settings)
     plan = decide(settings, observed)
+    planned = replace(plan.settings, optim=replace(plan.settings.optim, gaussians=gaussians))
+    plan = replace(plan, settings=planned)
     run = build(settings, observed, plan, claim(settings, observed, plan, folder_chosen_by_user=True))
     avatar = run.avatar
     for stage in run.stages:

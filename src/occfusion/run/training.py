@@ -172,9 +172,12 @@ class AvatarTraining:
         self.renderer.warm_up()
         if self.renderer.backend == "numba":
             # numba is loaded where it is used
+            from occfusion.geometry import rotation_kernels, skinning_kernels
+            from occfusion.human import carry_kernels, color_kernels
             from occfusion.quality import fused
 
-            fused.warm_up()
+            for module in (fused, carry_kernels, color_kernels, rotation_kernels, skinning_kernels):
+                module.warm_up()
         seconds = time.perf_counter() - started
         if seconds >= WARM_UP_SAID:
             ready = f"rasteriser {self.renderer.backend} ready after {seconds:.1f} s"
