@@ -126,7 +126,8 @@ def _profiles(args: argparse.Namespace, plan: BenchPlan, backend_name: str) -> l
     from occfusion.run.step_profile import profile_stages
     from occfusion.settings.schema import load_settings
 
-    chosen, found = plan.run, []
+    chosen = plan.run
+    found: list[StepProfile] = []
     with (
         tempfile.TemporaryDirectory() as place,
         initialize_config_dir(str(find_config_dir()), version_base="1.3"),

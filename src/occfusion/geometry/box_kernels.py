@@ -44,9 +44,10 @@ def bounds_of_points(
     if count == 0:
         return 0, 0, 0, 0, 0
     # beyond this the exact value no longer matters, and whole numbers of it stay small
-    left, top = max(min(left, most), -most), max(min(top, most), -most)
-    right, bottom = max(min(right, most), -most), max(min(bottom, most), -most)
-    return count, int(math.floor(left)), int(math.floor(top)), int(math.ceil(right)), int(math.ceil(bottom))
+    bound = np.float32(most)
+    left, top = max(min(left, bound), -bound), max(min(top, bound), -bound)
+    right, bottom = max(min(right, bound), -bound), max(min(bottom, bound), -bound)
+    return count, math.floor(left), math.floor(top), math.ceil(right), math.ceil(bottom)
 
 
 @kernel

@@ -162,7 +162,9 @@ def profile_stages(
         rounds: see `StepWatch`.
         block: see `StepWatch`.
     """
-    watch = StepWatch(settings.dataset.image_size, rounds, block)
+    size = settings.dataset.image_size
+    assert size is not None  # of embedded scenes it is always known
+    watch = StepWatch(size, rounds, block)
     settings = replace(
         settings,
         optim=replace(settings.optim, steps=watch.steps, sh_every=1),
