@@ -52,9 +52,9 @@ class Densification:
         0.05, "Gaussians farther than this from the canonical body are removed, metres", 0
     )
     divide: bool = setting(
-        True,
+        False,
         "a Gaussian that is worked on is replaced by two that together look like it; false: cloned or split at drawn "
-        "places, as in GauHuman, which changes the picture",
+        "places, as in GauHuman, which changes the picture and sharpens it",
     )
     max_gaussians: int = setting(
         60_000, "no round makes more than this; those with the largest gradients come first", 0
