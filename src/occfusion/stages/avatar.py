@@ -180,6 +180,8 @@ class AvatarStage(Stage):
 
     def on_train_start(self) -> None:
         """Starts the training clock."""
+        if self.global_step == 0:  # an avatar from a file has none of the stage before either
+            self.avatar.forget_skinning()
         self.clock.start()
 
     def on_train_end(self) -> None:
