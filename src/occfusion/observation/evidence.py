@@ -59,9 +59,9 @@ class Evidence:
     hidden: Bits = Bits()  # noqa: RUF009
     background: Bits = Bits()  # noqa: RUF009
     maybe_hidden: Bits = Bits()  # noqa: RUF009
-    hidden_share: float
-    occluded: bool
-    outside_share: float
+    hidden_share: float  # type: ignore[misc]  # a descriptor is no default
+    occluded: bool  # type: ignore[misc]  # a descriptor is no default
+    outside_share: float  # type: ignore[misc]  # a descriptor is no default
 
 
 def person_size(body: Mask) -> float:

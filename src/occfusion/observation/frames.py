@@ -137,7 +137,7 @@ def observe_frames(frames: Iterable[Frame], body: Body) -> list[ObservedFrame]:
 
 
 @torch.no_grad()
-def _pose(body: Body, pose: Pose, camera: Camera, face: NDArray[np.int64]) -> PosedBody:
+def _pose(body: Body, pose: Pose, camera: Camera, face: tuple[int, ...]) -> PosedBody:
     own = pose.to(body.v_template.device)
     vertices, joints = (
         part.double().cpu() for part in body(own.betas, own.global_orient, own.body_pose, own.transl)

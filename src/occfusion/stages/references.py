@@ -53,7 +53,7 @@ class _Kept:
 
     @classmethod
     def of(cls, rgb: NDArray[np.uint8], region: NDArray[np.bool_]) -> _Kept:
-        box = bounding_box(rgb.any(axis=2))
+        box = bounding_box(np.asarray(rgb.any(axis=2)))
         x, y, w, h = box
         return cls(rgb[y : y + h, x : x + w].copy(), box, np.packbits(region), region.shape)
 
