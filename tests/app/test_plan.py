@@ -11,7 +11,7 @@ from occfusion.human.coverage import BodyCoverage
 from occfusion.human.observability import Observability, ObservedSurface
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import HIDDEN_SHARE, Evidence
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrame, PosedBody
 from occfusion.observation.key_light import KeyLight
 from occfusion.plan import make as planning
 from occfusion.plan.decisions import box_reason, with_everything
@@ -28,9 +28,7 @@ def frames(*shares: float) -> list[ObservedFrame]:
     return [
         ObservedFrame(
             k,
-            np.zeros((2, 3)),
-            keypoints,
-            motion,
+            lambda: PosedBody(np.zeros((2, 3)), keypoints, motion),
             Evidence(nothing, nothing, nothing, share, share > HIDDEN_SHARE, share),
         )
         for k, share in enumerate(shares)

@@ -11,6 +11,7 @@ from torch.autograd import gradcheck
 from occfusion.errors import ConfigError, DataError
 from occfusion.geometry.rotation import axis_angle_to_matrix, quaternion_to_matrix
 from occfusion.human import Avatar, Body
+from occfusion.human.avatar import SKINNING_ROWS
 from occfusion.human.gaussians import PARAMETERS
 from occfusion.splat.harmonics import evaluate
 from occfusion.types import Pose
@@ -400,3 +401,46 @@ def test_covariances_are_symmetric_and_rotations_of_quaternions_matter(body):
     roots = avatar.gaussians.roots()
     rotations = quaternion_to_matrix(avatar.gaussians.raw_quats)
     assert torch.allclose(roots, rotations @ torch.diag_embed(avatar.gaussians.scales), atol=1e-15)
+
+
+def test_the_skinning_network_goes_round_the_gaussians(body):
+    """A turn changes the kept offsets of its rows alone, to what the network gives there; all rows have their turn."""
+    avatar, optimizer = start(body)
+    pose = make_pose(20)
+    train(avatar, optimizer, [0], pose)
+    changed = torch.zeros(avatar.gaussians.num_gaussians, dtype=torch.bool)
+    for turn in range(1, 1 + SKINNING_ROWS):
+        with torch.no_grad():
+            avatar.skinning_field.last.bias.add_(0.1 * torch.randn(24, dtype=torch.float64))
+        before = avatar.skinning_offsets
+        avatar.prepare(3 * turn)
+        with torch.no_grad():
+            wanted = avatar.skinning_field(avatar.gaussians.means)
+        avatar(pose, CENTRE)
+        rows = (avatar.skinning_offsets != before).any(dim=1)
+        assert rows.nonzero()[:, 0].tolist() == list(range(turn % SKINNING_ROWS, len(rows), SKINNING_ROWS))
+        assert torch.allclose(avatar.skinning_offsets[rows], wanted[rows], atol=1e-12)
+        changed |= rows
+    assert changed.all()
+
+
+def test_a_turn_has_the_gradient_of_its_rows(body):
+    """That of the whole network, with the other rows' offsets taken as fixed."""
+    avatar, optimizer = start(body)
+    pose = make_pose(21)
+    train(avatar, optimizer, [0], pose)
+    kept = avatar.skinning_offsets.clone()
+    avatar.prepare(3)
+    cloud = avatar(pose, CENTRE)
+    weights = torch.randn(cloud.means.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    last = avatar.skinning_field.last.bias
+    (found,) = torch.autograd.grad((cloud.means * weights).sum(), last)
+    rows = torch.arange(len(kept)) % SKINNING_ROWS == 1
+
+    def whole() -> torch.Tensor:
+        offsets = torch.where(rows[:, None], avatar.skinning_field(avatar.gaussians.means.detach()), kept)
+        avatar._binding = lambda: avatar._bind_offsets(offsets)
+        return (avatar(pose, CENTRE).means * weights).sum()
+
+    (wanted,) = torch.autograd.grad(whole(), last)
+    assert torch.allclose(found, wanted, atol=1e-10, rtol=1e-10) and found.abs().max() > 0

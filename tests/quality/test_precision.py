@@ -69,7 +69,7 @@ def test_equal_pictures_have_no_distance_in_either(stlpips):
 
 def test_the_plan_says_what_was_chosen(monkeypatch):
     term = [Decision("loss term lpips in refine", True, "refine.lambda_lpips = 0.1")]
-    assert precision_decisions(settings_of(), term, CPU) == []
+    assert precision_decisions(settings_of("perceptual.precision=float32"), term, CPU) == []
     asked = settings_of("perceptual.precision=auto")
     assert precision_decisions(asked, [Decision("loss term lpips", False, "")], CPU) == []
     for known, used, words in ((True, False, "multiplies"), (False, True, "does not multiply")):

@@ -11,6 +11,27 @@ PARTS = ("speed", "accuracy", "precision", "scaling", "step")
 
 
 @dataclass(frozen=True)
+class ProfiledRun:
+    """A training whose steps are profiled.
+
+    Attributes:
+        sizes: of the pictures, pixels; a training for each.
+        frames: of the scene.
+        gaussians: of the avatar.
+        rounds: blocks of steps with probes, and as many without.
+        block: steps of a block.
+        scene: an embedded one, partly hidden; none of those that are held out.
+    """
+
+    sizes: tuple[int, ...] = (256, 512)
+    frames: int = 24
+    gaussians: int = 15_000
+    rounds: int = 4
+    block: int = 16
+    scene: str = "003-hard"
+
+
+@dataclass(frozen=True)
 class BenchPlan:
     """Sizes and time.
 
@@ -20,6 +41,7 @@ class BenchPlan:
         precision: the scene of the work-precision picture.
         scaling: scenes along each axis, by axis.
         step: Gaussians and picture side of the training step.
+        run: the training whose steps are profiled.
         seconds: wall time for each call that is timed, at most.
         least_rounds: repetitions of each call even when that takes longer.
     """
@@ -29,6 +51,7 @@ class BenchPlan:
     precision: SceneSize
     scaling: dict[str, tuple[SceneSize, ...]]
     step: tuple[int, int]
+    run: ProfiledRun
     seconds: float
     least_rounds: int
 
@@ -48,6 +71,7 @@ FULL = BenchPlan(
         "footprint": tuple(SceneSize(6890, 512, footprint) for footprint in (0.5, 1.0, 2.0, 4.0)),
     },
     step=(6890, 512),
+    run=ProfiledRun(),
     seconds=2.0,
     least_rounds=3,
 )
@@ -61,6 +85,7 @@ QUICK = BenchPlan(
         "footprint": (SceneSize(300, 64, 0.5), SceneSize(300, 64, 2.0)),
     },
     step=(500, 64),
+    run=ProfiledRun((96,), 6, 0, rounds=1, block=2),
     seconds=0.0,
     least_rounds=1,
 )

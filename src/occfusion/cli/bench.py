@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import tempfile
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from occfusion.bench.draw import draw_precision, draw_scaling
 from occfusion.bench.measure import BenchRow, Conditions, accuracy, precision, race, step
 from occfusion.bench.plan import FULL, PARTS, QUICK, BenchPlan
 from occfusion.bench.publish import tables, write_csv
+from occfusion.bench.steps import StepProfile, draw_steps, steps_text, write_steps
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_bytes
 from occfusion.run.environment import describe_environment
@@ -31,7 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--backends", nargs="+", metavar="NAME", help="rasteriser backends (all that run here)"
     )
     parser.add_argument(
-        "--threads", type=int, default=1, help="threads of torch and of the backends (%(default)s)"
+        "--threads",
+        type=int,
+        nargs="+",
+        default=[1],
+        metavar="N",
+        help="threads of torch and of the backends (1); with several, steps are profiled with each of them, and all "
+        "else is measured with the first",
     )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="(%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the scenes (%(default)s)")
@@ -46,13 +55,16 @@ def run(args: argparse.Namespace) -> int:
     plan = QUICK if args.quick else FULL
     rows: list[BenchRow] = []
     before = torch.get_num_threads()
-    torch.set_num_threads(args.threads)
+    torch.set_num_threads(args.threads[0])
+    profiles: list[StepProfile] = []
     try:
         for row in _measure(args, plan, device):
             if not rows or rows[-1].part != row.part:
                 print(f"measuring {row.part}", file=sys.stderr, flush=True)
             rows.append(row)
         environment = describe_environment() | {"load": _load()}
+        if "step" in args.parts:
+            profiles = _profiles(args, plan, available_backends(torch.device("cpu"), args.backends)[-1])
     finally:
         torch.set_num_threads(before)
     text = tables(rows, environment)
@@ -63,6 +75,10 @@ def run(args: argparse.Namespace) -> int:
     if "precision" in args.parts:
         draw_precision(args.output / "precision.png", rows)
         text += "\n![work and precision](precision.png)\n"
+    if profiles:
+        write_steps(args.output / "step.csv", profiles)
+        draw_steps(args.output / "step.png", profiles)
+        text += f"\n{steps_text(profiles)}\n![a step, part by part](step.png)\n"
     write_bytes(args.output / "bench.md", text.encode())
     print(text)
     print(f"written to {args.output}")
@@ -70,8 +86,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _prepare(args: argparse.Namespace) -> torch.device:
-    if args.threads < 1:
-        raise ConfigError(f"--threads {args.threads}: at least 1 is needed")
+    if min(args.threads) < 1:
+        raise ConfigError(f"--threads {min(args.threads)}: at least 1 is needed")
     if args.device == "cuda" and not torch.cuda.is_available():
         raise ConfigError(
             "--device cuda: torch finds no CUDA device; leave the option out to measure on the CPU"
@@ -100,6 +116,37 @@ def _measure(args: argparse.Namespace, plan: BenchPlan, device: torch.device) ->
             yield from race(f"scaling {axis}", sizes, ours, conditions)
     if "step" in args.parts:
         yield from step(names[-1], *plan.step, replace(conditions, device=torch.device("cpu")))
+
+
+def _profiles(args: argparse.Namespace, plan: BenchPlan, backend_name: str) -> list[StepProfile]:
+    """Trains on an embedded scene, once for each size and number of threads, and returns the profiles."""
+    from hydra import compose, initialize_config_dir
+
+    from occfusion.cli.train import find_config_dir
+    from occfusion.run.step_profile import profile_stages
+    from occfusion.settings.schema import load_settings
+
+    chosen = plan.run
+    found: list[StepProfile] = []
+    with (
+        tempfile.TemporaryDirectory() as place,
+        initialize_config_dir(str(find_config_dir()), version_base="1.3"),
+    ):
+        for size in chosen.sizes:
+            for threads in args.threads:
+                print(f"measuring steps, {size} px, {threads} threads", file=sys.stderr, flush=True)
+                own = Path(place) / f"{size}-{threads}"
+                overrides = [
+                    f"dataset.root={place}/data-{size}", f"dataset.scene={chosen.scene}", f"dataset.image_size={size}",
+                    f"dataset.frames={chosen.frames}", "dataset.cameras=2", f"seed={args.seed}", "logger=csv",
+                    f"rasterizer={backend_name}", f"output_dir={own}", f"shared_dir={own}/shared",
+                    "trainer.enable_progress_bar=false", "trainer.accelerator=cpu",
+                ]  # fmt: skip
+                torch.set_num_threads(threads)
+                settings = load_settings(compose("config", overrides))
+                with redirect_stdout(sys.stderr):
+                    found += profile_stages(settings, chosen.gaussians, chosen.rounds, chosen.block)
+    return found
 
 
 def _load() -> str:

@@ -183,6 +183,11 @@ class HumanDataModule(L.LightningDataModule):
         """
         self._open()[1].complete_masks = path_of
 
+    @property
+    def views(self) -> Views:
+        """Makes the frames."""
+        return self._open()[1]
+
     # --- frames --------------------------------------------------------------------------------------
 
     def train_frame(self, position: int, *, truth: bool = True, complete: bool = False) -> Frame:

@@ -7,8 +7,13 @@ from torch import Tensor
 
 from occfusion.types import Box, Camera
 
+Bounds = tuple[int, int, int, int]
+"""Left, top, right, bottom in pixels, ends exclusive."""
 NEAR = 0.01
 """Metres; points nearer than this to the camera plane have no place in the picture."""
+
+FARTHEST = 1e6
+"""Pixels beyond which the exact place no longer matters; `int` of it stays small."""
 
 
 def mask_bounds(mask: Tensor) -> tuple[int, int, int, int] | None:
@@ -29,13 +34,12 @@ def points_bounds(points: Tensor, camera: Camera) -> tuple[int, int, int, int] |
     if local.shape[0] == 0:
         return None
     pixels = (local[:, :2] / local[:, 2:]) @ camera.K[:2, :2].T + camera.K[:2, 2]
-    # beyond this the exact value no longer matters, and int() of it stays small
-    pixels = pixels.clamp(-1e6, 1e6)
+    pixels = pixels.clamp(-FARTHEST, FARTHEST)
     low, high = pixels.amin(dim=0).floor(), pixels.amax(dim=0).ceil()
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
-def person_box(points: Tensor, mask: Tensor, camera: Camera, padding: int) -> Box:
+def person_box(points: Tensor, mask: Tensor, camera: Camera, padding: int, *, compiled: bool = False) -> Box:
     """Returns the padded rectangle that holds both the projected points and the mask, cut to the picture.
 
     Args:
@@ -43,10 +47,16 @@ def person_box(points: Tensor, mask: Tensor, camera: Camera, padding: int) -> Bo
         mask: bool `[H, W]`.
         camera: whose picture it is.
         padding: pixels on each side.
+        compiled: by the kernels of `box_kernels.py`, where they take the points: float32 on a CPU. A place that
+            rounding carries over a whole pixel may move a side by that pixel.
 
     The whole picture is returned when neither gives a rectangle inside it.
     """
-    bounds = [b for b in (points_bounds(points, camera), mask_bounds(mask)) if b is not None]
+    if compiled and points.dtype == torch.float32 and points.device.type == "cpu":
+        both = _compiled_bounds(points, mask, camera)
+    else:
+        both = (points_bounds(points, camera), mask_bounds(mask))
+    bounds = [b for b in both if b is not None]
     whole = (0, 0, camera.width, camera.height)
     if not bounds:
         return whole
@@ -56,6 +66,18 @@ def person_box(points: Tensor, mask: Tensor, camera: Camera, padding: int) -> Bo
     if right <= left or bottom <= top:
         return whole
     return left, top, right - left, bottom - top
+
+
+def _compiled_bounds(points: Tensor, mask: Tensor, camera: Camera) -> tuple[Bounds | None, Bounds | None]:
+    """Returns `points_bounds` and `mask_bounds`."""
+    # numba is loaded where it is used
+    from occfusion.geometry.box_kernels import bounds_of_mask, bounds_of_points
+
+    viewmat, K = (tensor.to(points).contiguous().numpy() for tensor in (camera.viewmat, camera.K))
+    count, *of_points = bounds_of_points(points.contiguous().numpy(), viewmat, K, NEAR, FARTHEST)
+    of_mask = bounds_of_mask(mask.contiguous().numpy())
+    left, top, right, bottom = of_points
+    return (left, top, right, bottom) if count else None, of_mask if of_mask[2] else None
 
 
 def crop(image: Tensor, box: Box) -> Tensor:

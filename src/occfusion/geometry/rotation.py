@@ -34,15 +34,23 @@ for _product, _entry, _factor in (
     _PRODUCTS_TO_MATRIX[_product, _entry] = _factor
 
 
-def axis_angle_to_matrix(vectors: Tensor) -> Tensor:
+def axis_angle_to_matrix(vectors: Tensor, *, compiled: bool = False) -> Tensor:
     """Returns the rotation matrices of axis-angle vectors (Rodrigues' formula).
 
     Args:
         vectors: axis times angle in radians, `[..., 3]`; any angle.
+        compiled: by the kernels of `rotation_kernels.py`, of which this is the specification, where they take the
+            vectors: float32 on a CPU.
 
     Returns:
         `[..., 3, 3]`.
     """
+    if compiled and vectors.dtype == torch.float32 and vectors.device.type == "cpu":
+        # numba is loaded where it is used
+        from occfusion.geometry import rotation_kernels
+
+        matrices: Tensor = rotation_kernels.AxisAngle.apply(vectors.reshape(-1, 3))
+        return matrices.view(*vectors.shape, 3)
     squared = (vectors * vectors).sum(-1, keepdim=True)
     is_small = squared < _SERIES_BELOW
     angle = torch.where(is_small, 1.0, squared).sqrt()

@@ -12,7 +12,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 
-def bone_transforms(rotations: Tensor, joints: Tensor, parents: Sequence[int]) -> Tensor:
+def bone_transforms(
+    rotations: Tensor, joints: Tensor, parents: Sequence[int], *, compiled: bool = False
+) -> Tensor:
     """Returns the rigid motion of each joint's bone from rest to posed: the paper's `G_k` and `b_k`.
 
     The gradient is written out, since 24 joints are hundreds of tiny steps to autograd; it takes for granted
@@ -22,11 +24,21 @@ def bone_transforms(rotations: Tensor, joints: Tensor, parents: Sequence[int]) -
         rotations: rotation of each joint relative to its parent, `[J, 3, 3]`.
         joints: joint positions at rest, `[J, 3]`, metres.
         parents: parent of each joint; -1 for the root, else smaller than the joint's own index.
+        compiled: by the kernels of `skinning_kernels.py`, of which this is the specification, where they take the
+            joints: float32 on a CPU.
 
     Returns:
         `[J, 4, 4]`; joint 0 of a pose that only turns the root moves points about that joint.
     """
-    return _Kinematics.apply(rotations, joints, tuple(int(parent) for parent in parents))
+    known = tuple(int(parent) for parent in parents)
+    if compiled and rotations.dtype == torch.float32 and rotations.device.type == "cpu":
+        _tree(known)  # refuses what is no tree
+        # numba is loaded where it is used
+        from occfusion.geometry import skinning_kernels
+
+        transforms: Tensor = skinning_kernels.Kinematics.apply(rotations, joints, known)
+        return transforms
+    return _Kinematics.apply(rotations, joints, known)
 
 
 def posed_joints(transforms: Tensor, joints: Tensor) -> Tensor:

@@ -21,9 +21,13 @@ from occfusion.human.deform import PoseRefiner, SkinningField, skinning_weights
 from occfusion.human.gaussians import Gaussians
 from occfusion.human.memo import Memo
 from occfusion.human.pose_spline import PoseSpline
-from occfusion.human.shading import brightness, seen_colors
+from occfusion.human.shading import brightness, posed_colors, seen_colors
 from occfusion.splat import Limits
 from occfusion.types import Cloud, Pose
+
+SKINNING_ROWS = 4
+"""The skinning network learns from every so manieth Gaussian, those after them the next time. Neighbours on the body
+have nearly the same place, and the network has the same answer for them."""
 
 
 class Avatar(nn.Module):
@@ -38,7 +42,8 @@ class Avatar(nn.Module):
         pose_spline: corrections of the frames of one sequence, learned too; None: none.
         learn_skinning: learn offsets to the skinning weights.
         skinning_every: the skinning network costs more than all else here, so in training it is evaluated, and learns,
-            at every k-th step only (`prepare`); between, its last values stand. Without gradients it always is.
+            at every k-th step only (`prepare`), of one in `SKINNING_ROWS` Gaussians, in turn; the last values of the
+            others stand. Without gradients it always is, of all.
         key_light: by which colours change as surfaces turn, `[3]`, see `shading.brightness`; given, not learned.
         dilation: of the splats in pictures, square pixels (`splat.Limits`).
         gaussians: the Gaussians; one on each vertex of the body when None.
@@ -85,6 +90,7 @@ class Avatar(nn.Module):
         self.to(body.v_template)
         self._active_sh_degree = 0
         self._is_skinning_due = True
+        self._skinning_turn = 0
         self._memo = Memo()
 
     # -- settings that follow the training ------------------------------------------------------------------
@@ -108,7 +114,8 @@ class Avatar(nn.Module):
         What follows depends on `step` and the state alone, so that a resumed run takes the same turns.
         """
         self.gaussians.constrain()
-        self._is_skinning_due = step % self.skinning_every == 0
+        turn, rest = divmod(step, self.skinning_every)
+        self._is_skinning_due, self._skinning_turn = rest == 0, turn % SKINNING_ROWS
 
     def parameter_groups(self, rates: Mapping[str, float]) -> list[dict[str, Any]]:
         """Returns named parameter groups for one Adam.
@@ -152,12 +159,9 @@ class Avatar(nn.Module):
             DataError: the pose has another number of joints, or more betas than the body.
         """
         carried = self.deform(pose)
-        colors = seen_colors(
-            self.gaussians, self._active_sh_degree, carried.means, camera_centre, carried.linear
+        colors = posed_colors(
+            self.gaussians, self._active_sh_degree, carried, camera_centre, self.da_normals, self.key_light
         )
-        shade = self.brightness(carried)
-        if shade is not None:
-            colors = colors * shade[:, None]
         return Cloud(carried.means, carried.covariances, self.gaussians.opacities, colors, self.dilation)
 
     def deform(self, pose: Pose) -> Carried:
@@ -166,7 +170,7 @@ class Avatar(nn.Module):
         rotations, transl = self._corrected(pose)
         betas = body.check_betas(pose.betas)
         joints = body.joint_template + body.joint_dirs[:, :, : len(betas)] @ betas
-        transforms = bone_transforms(rotations, joints, body.parents)
+        transforms = bone_transforms(rotations, joints, body.parents, compiled=True)
         binding = self._binding()
         posed_maps = blend_columns(binding.weights, transforms, transl)
         offsets = self._offsets(betas, rotations)
@@ -239,13 +243,26 @@ class Avatar(nn.Module):
                 "exact", (self._rows_key(), self._field_key()), lambda: self._bind_field()[0]
             )
         is_kept = len(self.skinning_offsets) == self.gaussians.num_gaussians
-        if self.training and not self._is_skinning_due and is_kept:
+        if self.training and is_kept:
             key = (self._rows_key(), id(self.skinning_offsets), self.skinning_offsets._version)
-            return self._memo.get("kept", key, lambda: self._bind_offsets(self.skinning_offsets))
+            kept = self._memo.get("kept", key, lambda: self._bind_offsets(self.skinning_offsets))
+            return self._learn_rows(kept) if self._is_skinning_due else kept
         binding, offsets = self._bind_field()
         if self.training:
             self.skinning_offsets = offsets.detach()
         return binding
+
+    def _learn_rows(self, kept: Binding) -> Binding:
+        """Returns a binding with the rows that the skinning network has its turn with computed anew."""
+        assert self.skinning_field is not None
+        rows = torch.arange(self._skinning_turn, self.gaussians.num_gaussians, SKINNING_ROWS)
+        rows = rows.to(self.skinning_offsets.device)
+        offsets = self.skinning_field(self.gaussians.means.detach()[rows])
+        some = bind(skinning_weights(self._body_weights()[rows], offsets), self.da_transforms)
+        self.skinning_offsets = self.skinning_offsets.index_copy(0, rows, offsets.detach())
+        return Binding(
+            kept.weights.index_copy(0, rows, some.weights), kept.rest_maps.index_copy(2, rows, some.rest_maps)
+        )
 
     def _bind_field(self) -> tuple[Binding, Tensor]:
         assert self.skinning_field is not None

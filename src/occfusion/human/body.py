@@ -149,7 +149,7 @@ class Body(nn.Module):
                 f"{3 * (NUM_JOINTS - 1)} for the other {NUM_JOINTS - 1} joints"
             )
         axis_angles = torch.cat([global_orient.reshape(1, 3), body_pose.reshape(-1, 3)])
-        return axis_angle_to_matrix(axis_angles.to(self.v_template))
+        return axis_angle_to_matrix(axis_angles.to(self.v_template), compiled=True)
 
     def pose_offsets(self, rotations: Tensor) -> Tensor:
         """Returns the pose blend shapes at `rotations [24, 3, 3]`: `[V, 3]`, metres; zero without any."""

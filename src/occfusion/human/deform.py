@@ -45,7 +45,7 @@ class PoseRefiner(nn.Module):
             body_pose: axis-angles, `[69]`, radians: what the network sees.
             rotations: joint rotations as the data give them, `[24, 3, 3]`.
         """
-        corrections = axis_angle_to_matrix(self.corrections(body_pose))
+        corrections = axis_angle_to_matrix(self.corrections(body_pose), compiled=True)
         return torch.cat([rotations[:1], rotations[1:] @ corrections])
 
 

@@ -1,4 +1,4 @@
-"""When and where Gaussians are added, joined and removed: 3DGS's rules with GauHuman's KL gates."""
+"""When and where Gaussians are added, joined and removed: 3DGS's rules with GauHuman's KL gates; ours for how."""
 
 from __future__ import annotations
 
@@ -51,6 +51,11 @@ class Densification:
     from_body: float = setting(
         0.05, "Gaussians farther than this from the canonical body are removed, metres", 0
     )
+    divide: bool = setting(
+        False,
+        "a Gaussian that is worked on is replaced by two that together look like it; false: cloned or split at drawn "
+        "places, as in GauHuman, which changes the picture and sharpens it",
+    )
     max_gaussians: int = setting(
         60_000, "no round makes more than this; those with the largest gradients come first", 0
     )
@@ -70,8 +75,8 @@ class Round:
     """What one round did.
 
     Attributes:
-        cloned: Gaussians copied.
-        split: Gaussians replaced by two.
+        cloned: small Gaussians that became two.
+        split: large ones that did.
         merged: pairs replaced by one.
         pruned: Gaussians removed.
         held_back: Gaussians that `max_gaussians` kept from being cloned or split.
@@ -174,6 +179,8 @@ class Densifier(nn.Module):
         wanted = is_moving & (self._divergence(population)[0] > settings.kl_apart)
         chosen = self._limit(wanted, gradients, settings.max_gaussians - population.size)
         clones, splits = chosen & is_small, chosen & ~is_small
+        if settings.divide:
+            return self._divide(population, chosen, is_moving & is_small, (clones, splits, wanted & ~chosen))
         population = editing.edit_clone(population, clones, generator)
         is_moving, is_small = (_extend(flag, population.size) for flag in (is_moving, is_small))
         splits = _extend(splits, population.size)
@@ -183,6 +190,22 @@ class Densifier(nn.Module):
         population = editing.edit_merge(population, pairs)
         done = {"cloned": clones, "split": splits, "held_back": wanted & ~chosen}
         return population, {**{key: int(flag.sum()) for key, flag in done.items()}, "merged": len(pairs)}
+
+    def _divide(
+        self,
+        population: Population,
+        chosen: Tensor,
+        is_candidate: Tensor,
+        counted: tuple[Tensor, Tensor, Tensor],
+    ) -> tuple[Population, dict[str, Any]]:
+        """As `_edit`, where those in `chosen` are divided; others of `is_candidate` may be merged."""
+        population = editing.edit_divide(population, chosen)
+        pairs = self._pairs(population, _extend(is_candidate[~chosen], population.size))
+        population = editing.edit_merge(population, pairs)
+        counts = {
+            key: int(flag.sum()) for key, flag in zip(("cloned", "split", "held_back"), counted, strict=True)
+        }
+        return population, {**counts, "merged": len(pairs)}
 
     def _divergence(self, population: Population) -> tuple[Tensor, Tensor]:
         """Returns each Gaussian's KL divergence to its nearest neighbour `[N]`, and that neighbour `[N]`."""

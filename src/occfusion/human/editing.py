@@ -8,6 +8,7 @@ its first step would be three times the learning rate, whatever the gradient.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,9 @@ MOMENTS = ("exp_avg", "exp_avg_sq")
 SPLIT_COUNT = 2
 SPLIT_SHRINKAGE = 0.8 * SPLIT_COUNT
 """3DGS: what a Gaussian is split into is smaller by this factor."""
+
+DIVIDED_BY = 0.6
+"""How far the two halves of a divided Gaussian lie from its centre, in its longest standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,50 @@ def edit_split(population: Population, chosen: Tensor, generator: torch.Generato
     values["log_scales"] = shrunk.clamp(MIN_SCALE, MAX_SCALE).log()
     moments = _inherit(population, rows)
     return _append(edit_keep(population, ~chosen), values, moments)
+
+
+def edit_divide(population: Population, chosen: Tensor) -> Population:
+    """Returns the population with each Gaussian in `chosen [N]` (bool) replaced by two that look like it.
+
+    They lie on both sides of its centre on its longest axis and are shorter along that axis, so that both together
+    have its mean and covariance. Their opacity makes them cover the area that it covered in a picture along that axis,
+    where they overlap counted once. Colours and all else are its own: the picture stays nearly as it was, and what was
+    trained is not lost. They stand at the end; the others keep their order.
+    """
+    rows = chosen.nonzero()[:, 0]
+    whole = {name: value[rows] for name, value in population.values.items()}
+    scales = whole["log_scales"].exp()
+    longest = scales.argmax(dim=1, keepdim=True)
+    length = scales.gather(1, longest)
+    axes = quaternion_to_matrix(whole["raw_quats"])
+    along = axes.gather(2, longest[:, None].expand(-1, 3, 1)).squeeze(-1)
+    shorter = math.sqrt(1.0 - DIVIDED_BY**2)
+    shrunk = scales.scatter(1, longest, length * shorter)
+    halves = []
+    for side in (-1.0, 1.0):
+        values = dict(whole)
+        values["means"] = whole["means"] + side * DIVIDED_BY * length * along
+        values["log_scales"] = shrunk.clamp(MIN_SCALE, MAX_SCALE).log()
+        values["opacity_logits"] = _halved(whole["opacity_logits"], shorter)
+        halves.append(values)
+    both = {name: torch.cat([half[name] for half in halves]) for name in whole}
+    return _append(edit_keep(population, ~chosen), both, _inherit(population, rows.repeat(2)))
+
+
+def _halved(logits: Tensor, shorter: float) -> Tensor:
+    """Returns the opacities, as logits, of two halves that cover what one Gaussian did.
+
+    One of opacity o covers `o A`, two of opacity p and of the area `s A` each `s A (2 p - E p^2 / 2)`: the integral of
+    the product of two Gaussians at a distance of 2 d is `E = exp(-(d / s)^2)` times that of the square of one.
+
+    Args:
+        logits: of the whole, `[N]`.
+        shorter: s, with d^2 = 1 - s^2.
+    """
+    overlap = math.exp(1.0 - 1.0 / shorter**2)
+    whole = logits.double().clamp(-MAX_LOGIT, MAX_LOGIT).sigmoid()
+    half = (2.0 - (4.0 - 2.0 * overlap * whole / shorter).sqrt()) / overlap
+    return torch.logit(half).clamp(-MAX_LOGIT, MAX_LOGIT).to(logits)
 
 
 def edit_merge(population: Population, pairs: Tensor) -> Population:

@@ -176,8 +176,9 @@ class Gaussians(nn.Module):
         self.log_scales.clamp_(math.log(MIN_SCALE), math.log(WIDEST))
         self.opacity_logits.clamp_(-MAX_LOGIT, MAX_LOGIT)
         norms = self.raw_quats.norm(dim=-1, keepdim=True)
-        is_off = (norms < _NORM_RANGE[0]) | (norms > _NORM_RANGE[1])
-        if bool(is_off.any()):
+        least, most = norms.aminmax() if len(norms) else (norms.new_tensor(1.0),) * 2
+        if not (least >= _NORM_RANGE[0] and most <= _NORM_RANGE[1]):
+            is_off = (norms < _NORM_RANGE[0]) | (norms > _NORM_RANGE[1])
             self.raw_quats.copy_(torch.where(is_off, normalize_quaternion(self.raw_quats), self.raw_quats))
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:

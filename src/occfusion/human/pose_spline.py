@@ -111,4 +111,4 @@ class PoseSpline(nn.Module):
             transl: of the body, `[3]`, metres.
         """
         turns, shift = self.at(frame_index)
-        return rotations @ axis_angle_to_matrix(turns), transl + shift
+        return rotations @ axis_angle_to_matrix(turns, compiled=True), transl + shift

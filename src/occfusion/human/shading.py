@@ -6,17 +6,71 @@ the viewing direction, which for one camera comes to the same and for any other 
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 from torch.nn import functional
 
+from occfusion.human.carry import Carried
 from occfusion.human.gaussians import Gaussians
 from occfusion.splat.harmonics import evaluate
+
+HIGHEST_COMPILED = 1
+"""Band up to which colours are computed by the kernels of `color_kernels.py`."""
 
 _TOUCHING = 1e-6
 """Metres; a Gaussian nearer to the camera has no direction to be seen from, and is not drawn anyway."""
 
 SHORTEST = 1e-8
 """Normals shorter than this have no direction."""
+
+
+def posed_colors(
+    gaussians: Gaussians,
+    degree: int,
+    carried: Carried,
+    camera_centre: Tensor,
+    normals: Tensor,
+    key_light: Tensor | None,
+    *,
+    compiled: bool = True,
+) -> Tensor:
+    """Returns the colours of posed Gaussians from a camera, `[N, 3]`: `seen_colors` times `brightness`.
+
+    Viewing directions are turned back with each Gaussian, so that colours turn with the limbs. A Gaussian faces where
+    the body does at its vertex; poses are not mended by light, which is without gradient.
+
+    Args:
+        gaussians: whose harmonics.
+        degree: highest band in use.
+        carried: where they are.
+        camera_centre: `[3]`, metres.
+        normals: of the canonical body's vertices, `[V, 3]`.
+        key_light: see `brightness`; None: even light.
+        compiled: by the kernels of `color_kernels.py`, of which this is the specification, where they take the
+            Gaussians: float32 on a CPU, bands 0 and 1.
+    """
+    means = carried.means
+    if (
+        compiled
+        and degree <= HIGHEST_COMPILED
+        and means.dtype == torch.float32
+        and means.device.type == "cpu"
+    ):
+        # numba is loaded where it is used
+        from occfusion.human import color_kernels
+
+        lamp = means.new_empty(0) if key_light is None else key_light
+        colors: Tensor = color_kernels.PosedColors.apply(
+            gaussians.sh0, gaussians.sh_rest, means, carried.linear, camera_centre.to(means), normals,
+            gaussians.vertex_index, lamp, degree,
+        )  # fmt: skip
+        return colors
+    colors = seen_colors(gaussians, degree, means, camera_centre, carried.linear)
+    if key_light is None:
+        return colors
+    own = normals[gaussians.vertex_index].T
+    facing = (carried.linear.detach() * own).sum(dim=1)
+    return colors * brightness(facing, key_light)[:, None]
 
 
 def brightness(normals: Tensor, key_light: Tensor) -> Tensor:

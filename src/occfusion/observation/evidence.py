@@ -7,12 +7,14 @@ does not show the person is background.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from occfusion.fields.bits import Bits, packed, unpacked
 
 Mask = NDArray[np.bool_]
 
@@ -40,7 +42,7 @@ SLIVER_SHARE = 3 * FITTING
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of a frame.
+    """What is known of a frame; masks are kept as bits.
 
     Attributes:
         hidden: pixels inside the body that do not show the person, bool `[H, W]`.
@@ -54,12 +56,12 @@ class Evidence:
             small errors of the pose.
     """
 
-    hidden: Mask
-    background: Mask
-    maybe_hidden: Mask
-    hidden_share: float
-    occluded: bool
-    outside_share: float
+    hidden: Bits = Bits()  # noqa: RUF009
+    background: Bits = Bits()  # noqa: RUF009
+    maybe_hidden: Bits = Bits()  # noqa: RUF009
+    hidden_share: float  # type: ignore[misc]  # a descriptor is no default
+    occluded: bool  # type: ignore[misc]  # a descriptor is no default
+    outside_share: float  # type: ignore[misc]  # a descriptor is no default
 
 
 def person_size(body: Mask) -> float:
@@ -70,21 +72,23 @@ def person_size(body: Mask) -> float:
     return float(max(rows[-1] - rows[0], columns[-1] - columns[0]) + 1)
 
 
-def gather_evidence(bodies: Sequence[Mask], visible: Sequence[Mask]) -> list[Evidence]:
+def gather_evidence(bodies: Collection[Mask], visible: Collection[Mask]) -> list[Evidence]:
     """Returns the evidence of each frame of one camera.
 
     Args:
         bodies: the body's projection in each frame, bool `[H, W]`.
         visible: the paper's M of each.
     """
-    pairs = list(zip(bodies, visible, strict=True))
-    cores = [_hidden(body, seen, CORE * person_size(body)) for body, seen in pairs]
-    outside = [_outside_share(body, seen) for body, seen in pairs]
+    cores, outside = [], []
+    for body, seen in zip(bodies, visible, strict=True):
+        hidden, share = _hidden(body, seen, CORE * person_size(body))
+        cores.append((packed(hidden), share))
+        outside.append(_outside_share(body, seen))
     missed = misfit([miss for miss, (_, share) in zip(outside, cores, strict=True) if share <= HIDDEN_SHARE])
     fits = missed is not None and missed < FITTING
     found = []
-    for (body, seen), (hidden, share), miss in zip(pairs, cores, outside, strict=True):
-        size = person_size(body)
+    for body, seen, (kept, share), miss in zip(bodies, visible, cores, outside, strict=True):
+        hidden, size = unpacked(kept), person_size(body)
         background = ~seen & ~_unknown(_hidden_part(hidden, body, seen, size), seen, size)
         maybe = _maybe_hidden(body, seen, size, fits)
         found.append(Evidence(hidden, background, maybe, share, share > HIDDEN_SHARE, miss))

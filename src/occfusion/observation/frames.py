@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from occfusion.errors import DataError
+from occfusion.fields.bits import PackedMasks
 from occfusion.geometry.camera import project_vertices
 from occfusion.human.body import Body
 from occfusion.observation.bodyview import view_body
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import FITTING, Evidence, gather_evidence, misfit
 from occfusion.observation.keypoints import face_vertices, keypoints_3d
-from occfusion.types import Camera, Frame
+from occfusion.types import Camera, Frame, Pose
 
 Mask = NDArray[np.bool_]
 
@@ -46,34 +49,62 @@ class Observation:
     faces: NDArray[np.int64]
 
 
+class PosedBody(NamedTuple):
+    """A frame's body.
+
+    Attributes:
+        vertices: the body mesh in the world, `[V, 3]`, metres.
+        keypoints: `[18, 3]`, metres.
+        projected: the mesh in the picture.
+    """
+
+    vertices: NDArray[np.float64]
+    keypoints: NDArray[np.float64]
+    projected: ProjectedMesh
+
+
 @dataclass(frozen=True)
 class ObservedFrame:
     """What is known of a training frame.
 
+    Its body is posed anew when it is asked for: kept, those of a long video would take half a megabyte a frame.
+
     Attributes:
         index: number of the frame in the sequence.
-        vertices: the body mesh in the world, `[V, 3]`, metres.
-        keypoints: `[18, 3]`, metres.
-        projected: the mesh in the picture.
+        posed: gives the frame's body.
         evidence: what is hidden.
     """
 
     index: int
-    vertices: NDArray[np.float64]
-    keypoints: NDArray[np.float64]
-    projected: ProjectedMesh
+    posed: Callable[[], PosedBody]
     evidence: Evidence
+
+    @property
+    def vertices(self) -> NDArray[np.float64]:
+        """The body mesh in the world, `[V, 3]`, metres."""
+        return self.posed().vertices
+
+    @property
+    def keypoints(self) -> NDArray[np.float64]:
+        """Key points in the world, `[18, 3]`, metres."""
+        return self.posed().keypoints
+
+    @property
+    def projected(self) -> ProjectedMesh:
+        """The mesh in the picture."""
+        return self.posed().projected
 
     def observation(self, frame: Frame, body: Body) -> Observation:
         """Returns the frame as a prior sees it."""
+        posed = self.posed()
         return Observation(
             name=frame.name,
             rgb=frame.rgb.cpu().numpy(),
             visible=frame.visible_mask.cpu().numpy(),
             background=self.evidence.background,
             camera=frame.camera.to("cpu"),
-            vertices=self.vertices,
-            keypoints=self.keypoints,
+            vertices=posed.vertices,
+            keypoints=posed.keypoints,
             faces=body.faces.cpu().numpy(),
         )
 
@@ -86,25 +117,36 @@ def observe_frames(frames: Iterable[Frame], body: Body) -> list[ObservedFrame]:
         DataError: the body of a frame is nowhere in the picture.
     """
     face, faces = face_vertices(body), body.faces.cpu().numpy()
-    bodies, seen, parts = [], [], []
+    bodies, seen = PackedMasks(), PackedMasks()
+    known: list[tuple[int, Callable[[], PosedBody]]] = []
     for frame in frames:
-        pose, camera = frame.pose, frame.camera
-        found = body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)
-        vertices, joints = (part.double().cpu() for part in found)
-        viewmat, K = camera.viewmat.double().cpu().numpy(), camera.K.double().cpu().numpy()
-        pixels, depths = project_vertices(vertices.numpy(), viewmat, K)
+        camera = frame.camera.to("cpu")
+        posed = partial(_pose, body, frame.pose.to("cpu"), camera, face)
+        pixels, depths = (projected := posed().projected).pixels, projected.depths
         covered = view_body(pixels, depths, faces, camera.width, camera.height).coverage > 0.5
         if not covered.any():
             raise DataError(
                 f"frame {frame.name}: the body lies outside the picture or behind the camera; check its "
                 f"parameters, or leave the frame out with dataset.train_frames"
             )
-        bodies.append(covered)
-        seen.append(frame.visible_mask.cpu().numpy())
-        points = keypoints_3d(vertices, joints, face).numpy()
-        parts.append((frame.index, vertices.numpy(), points, ProjectedMesh(pixels, depths)))
-    evidence = gather_evidence(bodies, seen)
-    return [ObservedFrame(*part, found) for part, found in zip(parts, evidence, strict=True)]
+        bodies.put(len(known), covered)
+        seen.put(len(known), frame.visible_mask.cpu().numpy())
+        known.append((frame.index, posed))
+    evidence = gather_evidence(bodies.values(), seen.values())
+    return [ObservedFrame(index, posed, found) for (index, posed), found in zip(known, evidence, strict=True)]
+
+
+@torch.no_grad()
+def _pose(body: Body, pose: Pose, camera: Camera, face: tuple[int, ...]) -> PosedBody:
+    own = pose.to(body.v_template.device)
+    vertices, joints = (
+        part.double().cpu() for part in body(own.betas, own.global_orient, own.body_pose, own.transl)
+    )
+    pixels, depths = project_vertices(
+        vertices.numpy(), camera.viewmat.double().numpy(), camera.K.double().numpy()
+    )
+    points = keypoints_3d(vertices, joints, face).numpy()
+    return PosedBody(vertices.numpy(), points, ProjectedMesh(pixels, depths))
 
 
 def misfit_of(observed_frames: Sequence[ObservedFrame] | None) -> tuple[float, int] | None:

@@ -105,11 +105,12 @@ def sight(frame: Frame, observed_frame: ObservedFrame, faces: NDArray[np.integer
     height, width = visible.shape
     rim = max(1, round(RIM * person_size(visible)))
     inside = cv2.erode(visible.astype(np.uint8), np.ones((2 * rim + 1, 2 * rim + 1), np.uint8)) > 0
-    pixels, depths = observed_frame.projected.pixels, observed_frame.projected.depths
+    posed = observed_frame.posed()
+    pixels, depths = posed.projected.pixels, posed.projected.depths
     surface = view_body(pixels, depths, faces, width, height).depth
-    normals = vertex_normals(observed_frame.vertices, faces)
+    normals = vertex_normals(posed.vertices, faces)
     viewmat = frame.camera.viewmat.double().cpu().numpy()
-    towards = -viewmat[:3, :3].T @ viewmat[:3, 3] - observed_frame.vertices
+    towards = -viewmat[:3, :3].T @ viewmat[:3, 3] - posed.vertices
     cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
     is_in = ((pixels >= 0) & (pixels < (width, height))).all(axis=1) & (cosine > FACING)
     points = np.flatnonzero(is_in)

@@ -320,8 +320,9 @@ def box_reason(observed_frames: Sequence[ObservedFrame] | None) -> str:
     shares = []
     for observed_frame in observed_frames:
         height, width = observed_frame.evidence.hidden.shape
-        low = np.clip(observed_frame.projected.pixels.min(axis=0) - BOX_PADDING, 0, (width, height))
-        high = np.clip(observed_frame.projected.pixels.max(axis=0) + BOX_PADDING, 0, (width, height))
+        pixels = observed_frame.projected.pixels
+        low = np.clip(pixels.min(axis=0) - BOX_PADDING, 0, (width, height))
+        high = np.clip(pixels.max(axis=0) + BOX_PADDING, 0, (width, height))
         shares.append(float(np.prod(high - low)) / (width * height))
     return (
         f"{reason}; the body's box is {np.mean(shares):.0%} of the picture in the mean of the training frames"

@@ -92,12 +92,10 @@ class _Outline:
 
 
 def _outline(observed_frame: ObservedFrame, camera: Camera, body: Body) -> _Outline:
-    faces = body.faces.cpu().numpy()
-    seen = rasterize_mesh(
-        observed_frame.projected.pixels, observed_frame.projected.depths, faces, camera.width, camera.height
-    )
+    faces, projected = body.faces.cpu().numpy(), observed_frame.projected
+    seen = rasterize_mesh(projected.pixels, projected.depths, faces, camera.width, camera.height)
     covered = seen.face >= 0
-    metres = float(np.median(observed_frame.projected.depths)) / float(camera.K[0, 0])
+    metres = float(np.median(projected.depths)) / float(camera.K[0, 0])
     corner = np.take_along_axis(
         faces[np.maximum(seen.face, 0)],
         seen.barycentrics.argmax(axis=-1)[..., None].astype(np.int64),
@@ -213,10 +211,8 @@ def calibrate(
 def _borrowed(occluded: ObservedFrame, observed_frame: ObservedFrame, rng: np.random.Generator) -> Mask:
     """Returns what is unknown of one frame, moved with the body to about where it is in another."""
     unknown = _unknown(occluded.evidence)
-    middle = [
-        0.5 * (m.projected.pixels.min(axis=0) + m.projected.pixels.max(axis=0))
-        for m in (occluded, observed_frame)
-    ]
+    places = [each.projected.pixels for each in (occluded, observed_frame)]
+    middle = [0.5 * (pixels.min(axis=0) + pixels.max(axis=0)) for pixels in places]
     size = person_size(observed_frame.evidence.hidden | ~observed_frame.evidence.background)
     shift = middle[1] - middle[0] + SHIFT * size * rng.uniform(-1.0, 1.0, 2)
     move = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])

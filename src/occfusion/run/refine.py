@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 import torch
 
 from occfusion.data.module import HumanDataModule
+from occfusion.fields.bits import PackedMasks
 from occfusion.human import Avatar, load_avatar
 from occfusion.inpaint.accumulation import accumulate, paint_unseen
 from occfusion.inpaint.build_inpainter import make_inpainter
@@ -79,7 +80,10 @@ class Refinement:
             if observed_frame.index in training.uncertain.hidden
         ]
         frames = (training.data.train_frame(k, truth=False) for k in doubtful)
-        return {frame.index: training.renderer.outline(avatar, frame).cpu().numpy() for frame in frames}
+        outlines = PackedMasks()
+        for frame in frames:
+            outlines.put(frame.index, training.renderer.outline(avatar, frame).cpu().numpy())
+        return outlines
 
 
 def make_references(

@@ -78,6 +78,7 @@ def fit(
     steps: int,
     devices: int = 1,
     measuring: Sequence[L.Callback] = (),
+    watching: Sequence[L.Callback] = (),
     pictured: Pictured | None = None,
 ) -> Fitted:
     """Trains a stage; returns how that ended.
@@ -91,6 +92,7 @@ def fit(
         steps: of the stage, unless `trainer.max_steps` has another number.
         devices: processes that train together.
         measuring: callbacks that measure; they come before a checkpoint is written.
+        watching: callbacks that come after all others.
         pictured: what loggers get pictures of; None: there are none.
 
     Raises:
@@ -108,6 +110,7 @@ def fit(
         callbacks.append(Checkpointing(checkpoint, chosen.checkpoint_every))
     if progress:
         callbacks.append(ProgressLine())
+    callbacks += watching
     trainer = L.Trainer(
         accelerator=chosen.accelerator,
         devices=devices,
@@ -146,6 +149,7 @@ class AvatarTraining:
         metric: of the perceptual loss term; None where no stage has it.
         evaluation_metric: of the error curve; None where it has no perceptual figure.
         renderer: draws avatars.
+        watching: callbacks that come last, for whoever looks at the training from outside.
     """
 
     settings: Settings
@@ -160,6 +164,7 @@ class AvatarTraining:
     metric: PerceptualMetric | None
     evaluation_metric: PerceptualMetric | None
     renderer: Renderer
+    watching: Sequence[L.Callback] = ()
 
     def warm_up(self, name: str) -> None:
         """Compiles what the first step would wait for, so that a machine's first run trains no longer than others."""
@@ -167,9 +172,12 @@ class AvatarTraining:
         self.renderer.warm_up()
         if self.renderer.backend == "numba":
             # numba is loaded where it is used
+            from occfusion.geometry import rotation_kernels, skinning_kernels
+            from occfusion.human import carry_kernels, color_kernels
             from occfusion.quality import fused
 
-            fused.warm_up()
+            for module in (fused, carry_kernels, color_kernels, rotation_kernels, skinning_kernels):
+                module.warm_up()
         seconds = time.perf_counter() - started
         if seconds >= WARM_UP_SAID:
             ready = f"rasteriser {self.renderer.backend} ready after {seconds:.1f} s"
@@ -241,7 +249,8 @@ class AvatarTraining:
         avatar.train()
         done = fit(
             stage, data, settings, self.folder, own.checkpoint, steps=steps,
-            devices=settings.trainer.devices, measuring=measuring, pictured=Pictured(views, render),
+            devices=settings.trainer.devices, measuring=measuring, watching=self.watching,
+            pictured=Pictured(views, render),
         )  # fmt: skip
         if is_helper():
             return

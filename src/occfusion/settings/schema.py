@@ -98,7 +98,7 @@ class PerceptualSettings:
     name: str = setting("stlpips", "the metric", choices=("stlpips", "lpips"))
     vgg_path: str | None = setting(None, "the file of the backbone, of lpips alone")
     precision: str = setting(
-        "float32", "of the network in a training term; figures are of float32 always", choices=PRECISIONS
+        "auto", "of the network in a training term; figures are of float32 always", choices=PRECISIONS
     )
 
 

@@ -311,7 +311,7 @@ class OptimSettings(AvatarSettings):
         "tells that poses are off; the networks of pose and skinning are left out then",
     )
     learn_skinning: bool = setting(True, "GauHuman's network of skinning weights")
-    skinning_every: int = setting(4, "steps from one evaluation of it to the next", 1, 10_000)
+    skinning_every: int = setting(8, "steps from one evaluation of it to the next", 1, 10_000)
     sds: SdsSettings = field(default_factory=SdsSettings)
 
     def check(self, group: str) -> None:

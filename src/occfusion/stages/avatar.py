@@ -132,9 +132,13 @@ class AvatarStage(Stage):
         if self.surface is not None:
             terms = {**terms, **self.surface.terms(self.avatar, self.global_step)}
         check_finite_terms(terms, self.name, self.global_step, frame.name)
-        # a frame may have no term at all, of which backward could not be called
-        nothing = 0.0 * rendering.alpha.sum()
-        total = sum((self.weight(name) * value for name, value in terms.items()), start=nothing)
+        # a frame may have no term at all; backward can be called of this
+        weighted = [self.weight(name) * value for name, value in terms.items()] or [
+            0.0 * rendering.alpha.sum()
+        ]
+        total = weighted[0]
+        for value in weighted[1:]:
+            total = total + value
         self.keep_terms(terms, total)
         return total
 
@@ -142,7 +146,8 @@ class AvatarStage(Stage):
         camera = frame.camera
         cloud = self.avatar(frame.pose, camera.centre)
         shown = frame.visible_mask if frame.complete_mask is None else frame.complete_mask
-        box = person_box(cloud.means.detach(), shown, camera, BOX_PADDING)
+        compiled = self._renderer.backend == "numba"
+        box = person_box(cloud.means.detach(), shown, camera, BOX_PADDING, compiled=compiled)
         if self.densifier is not None:
             self._screen_offsets = torch.zeros_like(cloud.means[:, :2], requires_grad=True)
         rendering = self._renderer.draw(cloud, camera, crop=box, screen_offsets=self._screen_offsets)
@@ -175,6 +180,8 @@ class AvatarStage(Stage):
 
     def on_train_start(self) -> None:
         """Starts the training clock."""
+        if self.global_step == 0:  # an avatar from a file has none of the stage before either
+            self.avatar.forget_skinning()
         self.clock.start()
 
     def on_train_end(self) -> None:

@@ -56,6 +56,10 @@ class Stage(L.LightningModule):
 
 def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame: str) -> None:
     """Raises NumericsError naming the first loss term that is not finite."""
+    values = list(terms.values())
+    # a sum is finite only if all its parts are: one look in place of one for each
+    if not values or bool(torch.isfinite(torch.stack(values).detach().sum())):
+        return
     for name, value in terms.items():
         if not bool(torch.isfinite(value)):
             raise NumericsError(
@@ -66,6 +70,11 @@ def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame
 
 def check_finite_gradients(groups: Iterable[Mapping[str, object]], stage: str, step: int, frame: str) -> None:
     """Raises NumericsError naming the first parameter group whose gradient is not finite."""
+    groups = list(groups)
+    gradients = [p.grad for group in groups for p in group["params"] if p.grad is not None]  # type: ignore[attr-defined]
+    # lengths are finite only if all their parts are, or squares overflow: then each is looked at
+    if not gradients or bool(torch.isfinite(torch.stack(torch._foreach_norm(gradients)).sum())):
+        return
     for group in groups:
         for parameter in group["params"]:  # type: ignore[attr-defined]
             # a sum is finite only if all its parts are, and costs a fraction of testing each

@@ -9,6 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from occfusion.data.silhouette import bounding_box
+from occfusion.data.views import BoundedCache
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.files.run_folder import FrameFolder
@@ -29,8 +31,48 @@ class Reference:
     region: Tensor
 
 
+MOST_KEPT = 128_000_000
+"""Bytes of inpainted frames that are kept; beyond that they are read each time."""
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """An inpainted frame without the black about the person.
+
+    Attributes:
+        rgb: inside `box`, `[h, w, 3]`.
+        box: of what is not black.
+        region: bits of the region.
+        size: height and width of the frame.
+    """
+
+    rgb: NDArray[np.uint8]
+    box: Box
+    region: NDArray[np.uint8]
+    size: tuple[int, int]
+
+    @classmethod
+    def of(cls, rgb: NDArray[np.uint8], region: NDArray[np.bool_]) -> _Kept:
+        box = bounding_box(np.asarray(rgb.any(axis=2)))
+        x, y, w, h = box
+        return cls(rgb[y : y + h, x : x + w].copy(), box, np.packbits(region), region.shape)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of both arrays."""
+        return self.rgb.nbytes + self.region.nbytes
+
+    def whole(self) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Returns picture and region of the frame."""
+        (height, width), (x, y, w, h) = self.size, self.box
+        rgb = np.zeros((height, width, 3), dtype=np.uint8)
+        rgb[y : y + h, x : x + w] = self.rgb
+        region = np.unpackbits(self.region, count=height * width).view(np.bool_).reshape(height, width)
+        return rgb, region
+
+
 class References:
-    """Reads inpainted frames when they are needed, and keeps them.
+    """Reads inpainted frames when they are needed, and keeps them while there is room.
 
     Args:
         folder: with a picture and a region for each inpainted frame.
@@ -39,7 +81,7 @@ class References:
 
     def __init__(self, folder: FrameFolder, frames: frozenset[int]) -> None:
         self.folder, self.frames = folder, frames
-        self._read: dict[int, tuple[NDArray[np.uint8], NDArray[np.bool_]]] = {}
+        self._read: BoundedCache[_Kept] = BoundedCache(MOST_KEPT)
 
     def get(self, frame: Frame, box: Box) -> Reference | None:
         """Returns the reference of a frame inside `box`; None for a frame that needed none.
@@ -49,9 +91,8 @@ class References:
         """
         if frame.index not in self.frames:
             return None
-        if frame.index not in self._read:
-            self._read[frame.index] = self._open(frame)
-        rgb, region = (crop(torch.from_numpy(part), box) for part in self._read[frame.index])
+        kept = self._read.get(frame.index, lambda: _Kept.of(*self._open(frame)))
+        rgb, region = (crop(torch.from_numpy(part), box) for part in kept.whole())
         return Reference(rgb.to(frame.rgb) / 255.0, region.to(frame.rgb.device))
 
     def _open(self, frame: Frame) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from occfusion.fields.bits import PackedMasks
 from occfusion.geometry.boxes import crop
 from occfusion.observation.frames import ObservedFrame
 from occfusion.types import Box, Frame
@@ -50,9 +51,14 @@ class UncertainMasks:
     @classmethod
     def found(cls, observed_frames: Iterable[ObservedFrame]) -> UncertainMasks:
         """Returns where masks and poses of the training frames leave complete masks uncertain."""
-        evidence = {observed_frame.index: observed_frame.evidence for observed_frame in observed_frames}
-        hidden = {frame: own.maybe_hidden for frame, own in evidence.items() if own.maybe_hidden.any()}
-        return cls(hidden, {frame: mask & evidence[frame].background for frame, mask in hidden.items()})
+        hidden, assumed_background = PackedMasks(), PackedMasks()
+        for observed_frame in observed_frames:
+            own = observed_frame.evidence
+            maybe = own.maybe_hidden
+            if maybe.any():
+                hidden.put(observed_frame.index, maybe)
+                assumed_background.put(observed_frame.index, maybe & own.background)
+        return cls(hidden, assumed_background)
 
     def of(self, frame: Frame, box: Box, unseen: Tensor | None = None) -> Tensor | None:
         """Returns the uncertain pixels of a window but those of `unseen`, bool `[h, w]`; None for a whole person."""
