@@ -11,8 +11,10 @@ import torch
 
 from occfusion.errors import ConfigError
 from occfusion.run.environment import describe_environment
+from occfusion.settings.stages import RateSettings
 from occfusion.stability.axes import Row, sweep
 from occfusion.stability.motion import motion_axes
+from occfusion.stability.optimisation import study
 from occfusion.stability.page import summary, write_sweep
 from occfusion.stability.pictures import picture_axes
 
@@ -27,6 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--axes", nargs="+", metavar="WORD", help="those with one of these words in their name (all)"
     )
     parser.add_argument(
+        "--optimisation",
+        action="store_true",
+        help="in place of the sweep: how stiff the optimisation is, on embedded scenes and on problems with a known "
+        "optimum",
+    )
+    parser.add_argument(
         "--device", choices=("cpu", "cuda"), default="cpu", help="of the rasteriser (%(default)s)"
     )
 
@@ -37,6 +45,8 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(
             "--device cuda: torch finds no CUDA device; leave the option out to sweep on the CPU"
         )
+    if args.optimisation:
+        return _study(args)
     known = [*motion_axes(), *picture_axes(torch.device(args.device))]
     axes = [axis for axis in known if args.axes is None or any(word in axis.name for word in args.axes)]
     if not axes:
@@ -60,3 +70,14 @@ def run(args: argparse.Namespace) -> int:
             )
     print(f"{summary(rows)}; written to {args.output}")
     return int(any(row.verdict != "holds" for row in rows))
+
+
+def _study(args: argparse.Namespace) -> int:
+    rates = vars(RateSettings())
+
+    def tell(words: str) -> None:
+        print(words, file=sys.stderr, flush=True)
+
+    study(args.output, rates, describe_environment(), quick=args.quick, tell=tell)
+    print(f"written to {args.output}")
+    return 0

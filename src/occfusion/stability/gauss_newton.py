@@ -1,8 +1,8 @@
 """Gauss-Newton matrices of least squares, as products and as samples, without ever forming a Jacobian.
 
-Of residuals r(x) the matrix is H = J^t J with J = dr/dx. It says how much the data know of each direction: moving x by v
-changes the residuals by v^t H v, in the square. `product` gives H v; `samples` gives vectors whose outer products are H
-on average, which is how blocks and diagonals of thousands of parameters are had at once.
+Of residuals r(x) the matrix is H = J^t J with J = dr/dx. It says how much the data know of each direction: moving x by
+v changes the residuals by v^t H v, in the square. `product` gives H v; `samples` gives vectors whose outer products are
+H on average, which is how blocks and diagonals of thousands of parameters are had at once.
 """
 
 from __future__ import annotations

@@ -26,6 +26,8 @@ MASK_WEIGHT = 2.0
 """Of the mask's squares against the colours', as in the recipe."""
 FAINTEST, LAST = 1e-8, 1e-12
 """Alpha and transmittance below which nothing is drawn in differences: their steps would be seen otherwise."""
+WORST = 1e10
+"""Conditions beyond are not told from this one: single precision has no more digits."""
 GROUPS = {
     "means": "means",
     "scales": "log_scales",
@@ -77,7 +79,9 @@ class Look:
         return torch.cat([(drawn.rgb - frame.rgb.to(drawn.rgb)) * seen, mask[..., None]], dim=-1)
 
 
-def begin(body: Body, frames: Sequence[Frame], renderer: Renderer, *, thickness: float, dilation: float) -> Avatar:
+def begin(
+    body: Body, frames: Sequence[Frame], renderer: Renderer, *, thickness: float, dilation: float
+) -> Avatar:
     """Returns an avatar as the optimisation begins it: discs on the body in the colours that the frames show.
 
     Corrections of poses have a knot for each frame; neither networks nor lamps take part.
@@ -96,7 +100,9 @@ def begin(body: Body, frames: Sequence[Frame], renderer: Renderer, *, thickness:
     return avatar.train()
 
 
-def train(avatar: Avatar, frames: Sequence[Frame], renderer: Renderer, rates: dict[str, float], steps: int) -> None:
+def train(
+    avatar: Avatar, frames: Sequence[Frame], renderer: Renderer, rates: dict[str, float], steps: int
+) -> None:
     """Fits an avatar by Adam as the stages use it, one frame a step, to the least squares of this study."""
     adam = torch.optim.Adam(avatar.parameter_groups(rates), eps=1e-15)
     residuals = Look(avatar, frames, renderer).residuals()
@@ -110,7 +116,9 @@ def train(avatar: Avatar, frames: Sequence[Frame], renderer: Renderer, rates: di
 def in_double(avatar: Avatar, body: Body) -> Avatar:
     """Returns the same avatar in float64, on the body of that precision."""
     gaussians = avatar.gaussians
-    double = Gaussians(gaussians.means.detach().double(), gaussians.scales.detach().double(), gaussians.sh_degree)
+    double = Gaussians(
+        gaussians.means.detach().double(), gaussians.scales.detach().double(), gaussians.sh_degree
+    )
     double.load_state_dict(gaussians.state_dict())
     spline = avatar.pose_spline
     assert spline is not None
@@ -142,9 +150,9 @@ class Spectrum:
     below: tuple[float, float, float]
 
 
-def spectrum(look: Look, group: str, steps: int, starts: int = 2) -> Spectrum:
+def spectrum(look: Look, group: str, steps: int, starts: int = 1) -> Spectrum:
     """Returns the spectrum of a group by products with the real rasteriser, all others held."""
-    parameter = _parameter(look.avatar, group)
+    parameter = parameter_of(look.avatar, group)
     matrix = GaussNewton(look.residuals(), [parameter])
     largest, shares = 0.0, torch.zeros(3, dtype=torch.float64)
     found = [ritz_values(matrix, steps, seed) for seed in range(starts)]
@@ -156,7 +164,13 @@ def spectrum(look: Look, group: str, steps: int, starts: int = 2) -> Spectrum:
     return Spectrum(group, parameter.numel(), largest, (one, two, three))
 
 
-def _parameter(avatar: Avatar, group: str) -> nn.Parameter:
+def condition(values: Tensor) -> Tensor:
+    """Returns greatest over least of eigenvalues in ascending order, `[...]` of `[..., n]`, at most `WORST`."""
+    return values[..., -1] / torch.maximum(values[..., 0], values[..., -1] / WORST)
+
+
+def parameter_of(avatar: Avatar, group: str) -> nn.Parameter:
+    """Returns the parameter of a group of the optimiser."""
     if group == "pose_turns":
         assert avatar.pose_spline is not None
         return avatar.pose_spline.turns
@@ -194,7 +208,9 @@ def pose_matrix(look: Look, frame: Frame) -> Tensor:
     """
     avatar = look.avatar
     kept = avatar.pose_spline
-    one = _OneFrame(frame.index, torch.zeros(NUM_JOINTS, 3) if kept is None else kept.at(frame.index)[0].detach())
+    one = _OneFrame(
+        frame.index, torch.zeros(NUM_JOINTS, 3) if kept is None else kept.at(frame.index)[0].detach()
+    )
     try:
         avatar.pose_spline = one
         return GaussNewton(Look(avatar, [frame], look.renderer).residuals(), [one.angles]).matrix()

@@ -1,7 +1,7 @@
 """Stiff problems with a known optimum, one for each kind of parameter, and how many steps optimisers need for them.
 
-Each is the smallest thing that has the stiffness of its group: what a camera sees badly is seen the worse the further the
-axis is followed, and nothing else changes. All places of an axis are walked at once, row by row.
+Each is the smallest thing that has the stiffness of its group: what a camera sees badly is seen the worse the further
+the axis is followed, and nothing else changes. All places of an axis are walked at once, row by row.
 """
 
 from __future__ import annotations
@@ -268,6 +268,29 @@ def walks(all_: Sequence[Toy], steps: int) -> list[Walk]:
         found += walk(toy, "Adam along own axes", toy.rate, adam(toy, toy.rate, own_axes(toy)), steps)
         found += walk(toy, "Levenberg-Marquardt", None, levenberg_marquardt(toy), min(steps, 200))
     return found
+
+
+def handed_over(ratio: float, *, fresh: bool, steps: int = 1800, rate: float = 1e-3) -> float:
+    """Returns the share of a new target's distance that is left after so many steps of a second stage.
+
+    A first stage finds its optimum by Adam with a loss `ratio` times as large; then the target moves by 0.5.
+
+    Args:
+        ratio: of the losses, before to after.
+        fresh: whether the second stage begins with moments of its own, as ours does, or with those of the first.
+        steps: of each stage.
+        rate: learning rate.
+    """
+    x = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    optimiser = torch.optim.Adam([x], lr=rate, eps=ADAM_EPS)
+    for scale, target in ((ratio, 0.5), (1.0, 1.0)):
+        if target == 1.0 and fresh:
+            optimiser = torch.optim.Adam([x], lr=rate, eps=ADAM_EPS)
+        for _ in range(steps):
+            optimiser.zero_grad()
+            (scale * (x - target).square().sum()).backward()
+            optimiser.step()
+    return abs(float(x.detach()) - 1.0) / 0.5
 
 
 def _looks(steps: int) -> set[int]:
