@@ -190,18 +190,19 @@ def test_the_matrix_of_angles_is_what_turning_them_does(look: Look) -> None:
         assert float(matrix[number, number]) == pytest.approx(float(change), rel=1e-5, abs=1e-12)
 
 
-def test_training_of_the_study_lowers_its_squares(look: Look) -> None:
+def test_training_of_the_study_takes_back_what_was_put_in(look: Look) -> None:
     other = replace(look, avatar=in_double(look.avatar, Body(make_arrays(), torch.float64)).float())
-    with torch.no_grad():
-        other.avatar.gaussians.sh0.add_(0.5)
 
     def squares() -> float:
         with torch.no_grad():
             return sum(float(residual().square().mean()) for residual in other.residuals())
 
+    least = squares()
+    with torch.no_grad():
+        other.avatar.gaussians.sh0.add_(0.5)
     before = squares()
     train(other.avatar, other.frames, Renderer("torch"), {**vars(RateSettings()), "sh0": 2.5e-2}, 40)
-    assert squares() < 0.6 * before
+    assert least < before and squares() - least < 0.3 * (before - least)
 
 
 def test_bins_and_shares_of_motion() -> None:
