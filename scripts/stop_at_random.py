@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 from pathlib import Path
 
 from safetensors.torch import load_file
@@ -41,12 +42,43 @@ def command(place: Path, name: str) -> list[str]:
     ]  # fmt: skip
 
 
-def start(place: Path, name: str) -> subprocess.Popen[str]:
-    """Starts a run."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-    return subprocess.Popen(
-        command(place, name), env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
+def preload() -> None:
+    """Imports what runs import, so that processes forked from this one need not: most stops then fall into work."""
+    sys.path[:0] = [str(ROOT / "src")]
+    import occfusion.cli.train
+    import occfusion.run.app  # noqa: F401
+
+
+def run_until(place: Path, name: str, number: signal.Signals, after: float | None) -> tuple[int, bool, str]:
+    """Runs in a forked process and sends it a signal after so many seconds; returns exit code, whether sent, output."""
+    said = place / f"{name}.txt"
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            output = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(output, 1)
+            os.dup2(output, 2)
+            from occfusion.cli.train import find_config_dir
+            from occfusion.cli.train import main as train
+
+            sys.argv = command(place, name)[1:]
+            try:
+                code = train(find_config_dir())
+            except BaseException:  # as Python would show it
+                traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+    ended, status, is_sent, began = 0, 0, False, time.monotonic()
+    while not ended:
+        time.sleep(0.01)
+        if after is not None and not is_sent and time.monotonic() - began > after:
+            os.kill(child, number)
+            is_sent = True
+        ended, status = os.waitpid(child, os.WNOHANG)
+    return os.waitstatus_to_exitcode(status), is_sent, said.read_text()
 
 
 def made(run: Path) -> dict[str, object]:
@@ -63,18 +95,6 @@ def made(run: Path) -> dict[str, object]:
     return found
 
 
-def stop(place: Path, name: str, number: signal.Signals, after: float) -> tuple[int, bool, str]:
-    """Starts a run, sends it a signal after so many seconds; returns its exit code, whether it was sent, the output."""
-    process = start(place, name)
-    try:
-        said, _ = process.communicate(timeout=after)
-        return process.returncode, False, said
-    except subprocess.TimeoutExpired:
-        process.send_signal(number)
-        said, _ = process.communicate()
-        return process.returncode, True, said
-
-
 def prepare(place: Path) -> float:
     """Writes the scene and two uninterrupted runs where they are missing; returns the seconds that a run takes."""
     clock = place / "seconds.txt"
@@ -89,9 +109,8 @@ def prepare(place: Path) -> float:
     )
     for name in ("whole", "again"):  # the first compiles what the second finds
         began = time.monotonic()
-        process = start(place, name)
-        said, _ = process.communicate()
-        if process.returncode != 0:
+        code, _, said = run_until(place, name, signal.SIGKILL, None)
+        if code != 0:
             raise SystemExit(said)
         seconds = time.monotonic() - began
     if made(place / "whole") != made(place / "again"):
@@ -110,6 +129,7 @@ def main() -> int:
     parser.add_argument("--place", type=Path, default=Path("runs/stops"), help="goes on with what it has")
     args = parser.parse_args()
     place = args.place.absolute()
+    preload()
     seconds = prepare(place)
     expected, table = made(place / "whole"), place / "stops.csv"
     rows = list(csv.DictReader(table.open())) if table.is_file() else []
@@ -122,7 +142,7 @@ def main() -> int:
         chance, signals, faults = random.Random(len(rows)), [], []
         for _ in range(min(args.each, args.stops - sum(int(row["stops"]) for row in rows))):
             number = chance.choice(SIGNALS)
-            code, sent, said = stop(place, name, number, chance.uniform(0.0, SPAN * seconds))
+            code, sent, said = run_until(place, name, number, chance.uniform(0.0, SPAN * seconds))
             if sent:
                 signals.append(number.name)
                 if code not in CLEAN[number] | {0}:
@@ -131,7 +151,7 @@ def main() -> int:
                 faults.append(f"traceback: {said[-400:]}")
             if code == 0:
                 break
-        said, _ = start(place, name).communicate()
+        _, _, said = run_until(place, name, signal.SIGKILL, None)
         found = made(place / name)
         faults += [
             f"{part} is another one: {said[-400:]}"

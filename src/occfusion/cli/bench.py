@@ -17,7 +17,7 @@ from occfusion.bench.measure import BenchRow, Conditions, accuracy, precision, r
 from occfusion.bench.plan import FULL, PARTS, QUICK, BenchPlan
 from occfusion.bench.publish import tables, write_csv
 from occfusion.errors import ConfigError
-from occfusion.files.atomic import write_bytes
+from occfusion.files.atomic import make_writable, write_bytes
 from occfusion.run.environment import describe_environment
 
 
@@ -43,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measures and writes; returns the exit code."""
     device = _prepare(args)
+    make_writable(args.output)
     plan = QUICK if args.quick else FULL
     rows: list[BenchRow] = []
     before = torch.get_num_threads()

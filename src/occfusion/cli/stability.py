@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 
 from occfusion.errors import ConfigError
+from occfusion.files.atomic import make_writable
 from occfusion.run.environment import describe_environment
 from occfusion.settings.stages import RateSettings
 from occfusion.stability.axes import Row, sweep
@@ -45,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(
             "--device cuda: torch finds no CUDA device; leave the option out to sweep on the CPU"
         )
+    make_writable(args.output)  # a sweep of half an hour is not to end at this
     if args.optimisation:
         return _study(args)
     known = [*motion_axes(), *picture_axes(torch.device(args.device))]

@@ -46,7 +46,7 @@ WARM_UP_SAID = 0.05
 
 @dataclass(frozen=True)
 class Fitted:
-    """How the training of a stage ended, with all its steps done.
+    """How the training of a stage ended, with all its steps done or its time over.
 
     Attributes:
         steps: done.
@@ -126,6 +126,9 @@ def fit(
         trainer.fit(stage, batches, ckpt_path=earlier, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(checkpoint))
+    if trainer.global_step < trainer.max_steps and not chosen.fast_dev_run and not is_helper():
+        why = f"trainer.max_time={chosen.max_time} ended it after {trainer.global_step} of {trainer.max_steps} steps"
+        print(f"{stage.name}: {why}; rates and schedules had not come to their ends")
     return Fitted(trainer.global_step, guard.received, checkpoint)
 
 
