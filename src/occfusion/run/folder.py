@@ -21,6 +21,7 @@ from occfusion.cpu.processes import helped_folder, is_helper
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes, json_bytes, write_bytes, write_json
 from occfusion.files.digest import changed, digests
+from occfusion.files.jsonfile import parse_json
 from occfusion.files.lock import Taken, only_one
 from occfusion.files.run_folder import RunFolder, read_json
 from occfusion.run.environment import describe_environment
@@ -149,7 +150,7 @@ def _identity_in(marker: Path) -> Any:
     while True:
         text = marker.read_text(encoding="utf-8")
         try:
-            return json.loads(text)["identity"]
+            return parse_json(text)["identity"]
         except (json.JSONDecodeError, KeyError, TypeError) as error:
             if text or time.monotonic() > deadline:
                 raise CheckpointError(

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import torch
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor
+from yaml import YAMLError
 
 from occfusion.errors import CheckpointError
 from occfusion.files.checkpoint import read_checkpoint
@@ -111,11 +113,17 @@ def read_settings(folder: RunFolder) -> Settings:
     """Returns the settings of a run.
 
     Raises:
-        CheckpointError: not a run folder.
+        CheckpointError: not a run folder, or its configuration is damaged.
+        ConfigError: a setting in it cannot be one.
     """
     folder.check_is_run()
-    config = OmegaConf.to_container(OmegaConf.load(folder.config))
-    assert isinstance(config, dict)
+    try:
+        config = OmegaConf.to_container(OmegaConf.load(folder.config))
+    except (OmegaConfBaseException, OSError, RecursionError, ValueError, YAMLError) as error:
+        why = (str(error) or type(error).__name__).splitlines()[0]
+        raise CheckpointError(f"{folder.config} is damaged ({why}); let the same command go on") from error
+    if not isinstance(config, dict) or not config:
+        raise CheckpointError(f"{folder.config} is damaged (no settings in it); let the same command go on")
     return load_settings(without_old_names({str(key): value for key, value in config.items()}))
 
 
