@@ -21,6 +21,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch.utils.data import DataLoader
 
 from occfusion.errors import DataError, NumericsError
 from occfusion.files.run_folder import RunFolder
@@ -50,15 +51,9 @@ class Falling(Stage):
 
 def fitted(place: Path, batches: list[torch.Tensor], steps: int) -> Falling:
     trainer = TrainerSettings(accelerator="cpu", enable_progress_bar=False)
-    stage = Falling()
-    fit(
-        stage,
-        batches,
-        replace(Settings(), trainer=trainer),
-        RunFolder(place),
-        place / "last.ckpt",
-        steps=steps,
-    )
+    stage, chosen = Falling(), replace(Settings(), trainer=trainer)
+    loader = DataLoader(batches, batch_size=None)  # type: ignore[arg-type]
+    fit(stage, loader, chosen, RunFolder(place), place / "last.ckpt", steps=steps)
     return stage
 
 
