@@ -46,7 +46,7 @@ class Falling(Stage):
         return self.number * batch
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
-        return torch.optim.SGD([self.number], lr=0.1)
+        return torch.optim.SGD([{"name": "number", "params": [self.number]}], lr=0.1)
 
 
 def fitted(place: Path, batches: list[torch.Tensor], steps: int) -> Falling:
