@@ -1,4 +1,4 @@
-"""Releases with known holes or worse are outside of the ranges, and not here; what is known is written down, offline."""
+"""Releases with known holes or worse are outside of the ranges, and not here; what is known stands below, offline."""
 
 from __future__ import annotations
 
