@@ -167,6 +167,7 @@ def _motion(
     for residual in look.residuals():
         descent += torch.autograd.grad(residual().square().mean(), means)[0]
     before = {group: parameter.detach().clone() for group, parameter in parameters.items()}
+    assert look.renderer is not None  # training is in single precision
     train(avatar, look.frames, look.renderer, rates, effort.trained)
     far = {group: parameter.detach() - before[group] for group, parameter in parameters.items()}
     moved = tuple(moved_by(group, diagonals[group], far[group]) for group in groups)
