@@ -24,11 +24,11 @@ import torch
 from torch.utils.data import DataLoader
 
 from occfusion.errors import DataError, NumericsError
+from occfusion.files.checkpoint import PARTS, read_checkpoint
 from occfusion.files.run_folder import RunFolder
 from occfusion.run.training import fit
 from occfusion.settings.schema import Settings, TrainerSettings
 from occfusion.stages.base import Stage, check_finite_gradients, check_finite_terms
-from occfusion.stages.checkpointing import PARTS, read_checkpoint
 
 TESTS = Path(__file__).parents[1]
 

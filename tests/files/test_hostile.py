@@ -24,6 +24,7 @@ import yaml
 
 from data.mutations import GADGETS, mutated_bytes
 from occfusion.errors import OccfusionError
+from occfusion.files.checkpoint import read_checkpoint
 from occfusion.files.digest import changed
 from occfusion.files.images import read_rgb
 from occfusion.files.jsonfile import load_json
@@ -39,7 +40,6 @@ from occfusion.importing.masks import read_masks
 from occfusion.motion.files import read_clip
 from occfusion.run.loaded import read_settings
 from occfusion.settings.schema import Settings
-from occfusion.stages.checkpointing import read_checkpoint
 from oracles.people import make_arrays
 
 FEW, MANY = 6, 200
