@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,12 @@ from app.test_init import data as data
 from app.test_init import make as make
 from app.test_init import observed_frames as observed_frames
 from occfusion.data.zju.zju_data import ZjuDataModule
-from occfusion.errors import CheckpointError
+from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.checkpoint import read_checkpoint
 from occfusion.files.run_folder import RunFolder
 from occfusion.run.app import check_checkpoints
+from occfusion.run.folder import claim_run_folder
+from occfusion.run.loaded import load_run, read_settings
 from occfusion.stages.base import Stage
 from occfusion.stages.checkpointing import resumable
 
@@ -133,3 +136,33 @@ def test_a_changed_picture_is_seen(
     again = make(CountingPrior(), smoothing=0.0)
     assert {again.observed_frames[k].index for k in again.wanted} == {4, int(uncertainty.stem)}
     assert "not as they were left" in capsys.readouterr().out
+
+
+def test_a_configuration_that_was_cut_short_is_not_taken_for_defaults(
+    short_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(short_run, tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    assert load_run(folder.path).stage == "optim"
+    whole = folder.config.read_bytes()
+    for content in (whole[: len(whole) // 2], b"", whole.replace(b"seed: 0", b"seed: 1")):
+        folder.config.write_bytes(content)
+        with pytest.raises(
+            CheckpointError, match=r"config\.yaml is not as the run wrote it; let the same command"
+        ):
+            load_run(folder.path)
+    folder.config.write_bytes(whole)
+    change(folder.stage("optim").avatar)
+    capsys.readouterr()
+    assert load_run(folder.path).step == 12  # of its checkpoint
+    assert "not as the stage left it; its last checkpoint is taken" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"\x88\xff", b"[" * 100_000, b"[]", b'{"identity": 3}'])
+def test_a_marker_of_a_run_that_is_none(content: bytes, short_run: Path, tmp_path: Path) -> None:
+    shutil.copytree(short_run, tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    settings = read_settings(folder)
+    folder.environment.write_bytes(content)
+    with pytest.raises((CheckpointError, ConfigError), match=r"move the folder away|name another folder"):
+        claim_run_folder(replace(settings, output_dir=str(folder.path)), "data", chosen_by_user=True)

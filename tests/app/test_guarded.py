@@ -159,6 +159,10 @@ def test_a_missing_gpu_and_a_full_disk_are_told_before_any_work(
         patch.setattr("torch.cuda.device_count", lambda: 1)
         with pytest.raises(ConfigError, match="1 GPUs"):
             machine.check_machine(replace(made, trainer=TrainerSettings(accelerator="gpu", devices=2)))
+    with monkeypatch.context() as patch:
+        patch.setattr(machine.os, "access", lambda path, _: path != tmp_path)
+        with pytest.raises(ConfigError, match=r"cannot be written .*; name another folder"):
+            machine.check_machine(made)
     usage = machine.shutil.disk_usage(tmp_path)._replace(free=3_000_000)
     monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: usage)
     with pytest.raises(ConfigError, match="3 MB are free there"):

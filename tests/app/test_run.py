@@ -304,3 +304,14 @@ def test_a_run_reports_the_error_of_depth_where_the_surface_is_known(
     assert full["depth_error_mm"] == pytest.approx(sum(map(float, values)) / len(values))
     assert "depth error mm" in (folder / "report.md").read_text()
     assert "depth" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_stage_that_its_time_ended_says_so(train: Train, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, _ = train(
+        "stage=optim", "optim.steps=100000", "trainer.max_time=00:00:00:01", "evaluation.curve=false"
+    )
+    steps = json.loads((folder / "optim" / "stage.json").read_text())["steps"]
+    said = capsys.readouterr().out
+    assert f"trainer.max_time=00:00:00:01 ended it after {steps} of 100000 steps" in said and steps < 1000
+    assert (folder / "metrics.json").is_file()

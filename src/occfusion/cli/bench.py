@@ -20,7 +20,7 @@ from occfusion.bench.plan import FULL, PARTS, QUICK, BenchPlan
 from occfusion.bench.publish import tables, write_csv
 from occfusion.bench.steps import StepProfile, draw_steps, steps_text, write_steps
 from occfusion.errors import ConfigError
-from occfusion.files.atomic import write_bytes
+from occfusion.files.atomic import make_writable, write_bytes
 from occfusion.run.environment import describe_environment
 
 
@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measures and writes; returns the exit code."""
     device = _prepare(args)
+    make_writable(args.output)
     plan = QUICK if args.quick else FULL
     rows: list[BenchRow] = []
     before = torch.get_num_threads()

@@ -6,7 +6,6 @@ one when it begins, and another in its place when it ends.
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from occfusion.files.atomic import write_bytes, write_json
+from occfusion.files.jsonfile import parse_json
 
 JOBS = "jobs"
 NO_LAST_WORD = "its process ended without a word (killed, or out of memory); the same command continues it"
@@ -101,7 +101,7 @@ def write_end_table(sweep: Path) -> int:
     from occfusion.report.tables import print_comparison
 
     files = sorted((sweep / JOBS).glob("*.json"), key=lambda file: int(file.stem))
-    jobs = [JobRecord(**json.loads(file.read_text(encoding="utf-8"))) for file in files]
+    jobs = [JobRecord(**parse_json(file.read_text(encoding="utf-8"))) for file in files]
     failed = [Fault(job.overrides, job.error) for job in jobs if job.error is not None]
     runs, unreadable = read_runs(dict.fromkeys(Path(job.folder) for job in jobs if job.folder is not None))
     faults = [*failed, *unreadable]

@@ -10,9 +10,12 @@ from pathlib import Path
 import torch
 
 from occfusion.errors import ConfigError
+from occfusion.files.atomic import make_writable
 from occfusion.run.environment import describe_environment
+from occfusion.settings.stages import RateSettings
 from occfusion.stability.axes import Row, sweep
 from occfusion.stability.motion import motion_axes
+from occfusion.stability.optimisation import study
 from occfusion.stability.page import summary, write_sweep
 from occfusion.stability.pictures import picture_axes
 
@@ -27,6 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--axes", nargs="+", metavar="WORD", help="those with one of these words in their name (all)"
     )
     parser.add_argument(
+        "--optimisation",
+        action="store_true",
+        help="in place of the sweep: how stiff the optimisation is, on embedded scenes and on problems with a known "
+        "optimum",
+    )
+    parser.add_argument(
         "--device", choices=("cpu", "cuda"), default="cpu", help="of the rasteriser (%(default)s)"
     )
 
@@ -37,6 +46,9 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(
             "--device cuda: torch finds no CUDA device; leave the option out to sweep on the CPU"
         )
+    make_writable(args.output)  # a sweep of half an hour is not to end at this
+    if args.optimisation:
+        return _study(args)
     known = [*motion_axes(), *picture_axes(torch.device(args.device))]
     axes = [axis for axis in known if args.axes is None or any(word in axis.name for word in args.axes)]
     if not axes:
@@ -60,3 +72,14 @@ def run(args: argparse.Namespace) -> int:
             )
     print(f"{summary(rows)}; written to {args.output}")
     return int(any(row.verdict != "holds" for row in rows))
+
+
+def _study(args: argparse.Namespace) -> int:
+    rates = vars(RateSettings())
+
+    def tell(words: str) -> None:
+        print(words, file=sys.stderr, flush=True)
+
+    study(args.output, rates, describe_environment(), quick=args.quick, tell=tell)
+    print(f"written to {args.output}")
+    return 0

@@ -168,7 +168,7 @@ def _job(config: DictConfig, overrides: list[str], number: int) -> JobRecord:
     called = " ".join(overrides)
     try:
         check_optimized_metric(config.optimized_metric)
-        folder = _finished_before(config, chosen) or _run(config, chosen)
+        folder = _finished_before(config, chosen) or _run(config, chosen, overrides)
     except OccfusionError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return JobRecord(number, called, error=str(error), exit_code=_exit_code(error))
@@ -196,9 +196,9 @@ def _finished_before(config: DictConfig, chosen: bool) -> Path | None:
     return folder
 
 
-def _run(config: DictConfig, chosen: bool) -> Path | None:
+def _run(config: DictConfig, chosen: bool, overrides: list[str]) -> Path | None:
     # heavy imports only after composing has gone well and where there is something to do
     from occfusion.run import app
 
-    folder, metrics = app.run_in_folder(config, folder_chosen_by_user=chosen)
+    folder, metrics = app.run_in_folder(config, folder_chosen_by_user=chosen, given=overrides)
     return folder if "regions" in metrics else None

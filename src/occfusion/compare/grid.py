@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from occfusion.compare.reading import RunRecord
 from occfusion.errors import DataError
 from occfusion.evaluation.pictures import Image
 from occfusion.files.images import read_rgb
+from occfusion.files.jsonfile import parse_json
 from occfusion.files.run_folder import RunFolder
 
 MARGIN = 8
@@ -107,7 +107,7 @@ def _parts(path: Path) -> dict[str, dict[str, Image]]:
         )
     picture = read_rgb(path)
     try:
-        views = json.loads(description.read_text(encoding="utf-8"))["views"]
+        views = parse_json(description.read_text(encoding="utf-8"))["views"]
         result = {}
         for view in views:
             cut = {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from occfusion.errors import CheckpointError
+from occfusion.files.jsonfile import parse_json
 from occfusion.files.run_folder import METRICS, STAGES, RunFolder
 from occfusion.files.table import read_table
 
@@ -163,7 +163,7 @@ def variant_rank(name: str) -> tuple[int, str]:
 def _config(path: Path) -> dict[str, Any]:
     try:
         content = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
-    except (OmegaConfBaseException, OSError, ValueError, YAMLError) as error:
+    except (OmegaConfBaseException, OSError, RecursionError, ValueError, YAMLError) as error:
         raise _damaged(path, str(error).splitlines()[0] if str(error) else "") from error
     if not isinstance(content, dict):
         raise _damaged(path, "no settings in it")
@@ -172,7 +172,7 @@ def _config(path: Path) -> dict[str, Any]:
 
 def _mapping(path: Path, keys: Sequence[str]) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise _damaged(path, str(error)) from error
     missing = [key for key in keys if not isinstance(content, dict) or key not in content]

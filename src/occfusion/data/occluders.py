@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from occfusion.data.silhouette import Hidden, Silhouette
 from occfusion.errors import DataError
 from occfusion.files.atomic import write_json, write_png
 from occfusion.files.images import read_mask
-from occfusion.files.jsonfile import load_json
+from occfusion.files.jsonfile import load_json, parse_json
 from occfusion.files.run_folder import RunFolder
 
 MANIFEST = "manifest.json"
@@ -66,7 +65,7 @@ def _is_there(folder: Path, content: Mapping[str, Any], masks: Mapping[str, Silh
     if not path.is_file() or not all((folder / name).is_file() for name in masks):
         return False
     try:
-        return bool(json.loads(path.read_text(encoding="utf-8")) == content)
+        return bool(parse_json(path.read_text(encoding="utf-8")) == content)
     except ValueError:
         return False
 

@@ -51,6 +51,20 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
             temporary.unlink(missing_ok=True)
 
 
+def make_writable(folder: Path) -> None:
+    """Makes a folder where it is missing, before the work whose result it is to hold.
+
+    Raises:
+        DataError: it cannot be made or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be written ({error.strerror}); name another folder") from error
+
+
 def write_bytes(path: Path | str, content: bytes) -> None:
     """Writes `content` whole or not at all."""
     with atomic_write(path) as stream:

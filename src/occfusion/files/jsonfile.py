@@ -13,6 +13,18 @@ MAX_JSON_BYTES = 256 << 20
 """Largest file that is read: 10 000 frames with cameras and poses take about 30 MB."""
 
 
+def parse_json(content: str | bytes) -> Any:
+    """Returns what a JSON text says.
+
+    Raises:
+        ValueError: it is none, or nested so deeply that nobody can have meant it.
+    """
+    try:
+        return json.loads(content)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+
+
 def load_json(path: Path | str) -> Any:
     """Returns the content of a JSON file.
 
@@ -22,10 +34,10 @@ def load_json(path: Path | str) -> Any:
     path = Path(path)
     content = read_bytes(path, MAX_JSON_BYTES)
     try:
-        return json.loads(content)
+        return parse_json(content)
     except json.JSONDecodeError as error:
         raise DataError(
             f"{path}: not JSON, or damaged, at line {error.lineno} ({error.msg}); get the file again."
         ) from error
-    except (ValueError, RecursionError) as error:  # UTF-8, numbers of thousands of digits, nesting
+    except ValueError as error:  # UTF-8, numbers of thousands of digits, nesting
         raise DataError(f"{path}: not JSON, or damaged ({error}); get the file again.") from error

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from occfusion.errors import CheckpointError
 from occfusion.files.digest import changed
+from occfusion.files.jsonfile import parse_json
 
 STAGES = ("init", "optim", "refine")
 """The stages of an avatar's training, in their order; each has a folder of its own."""
@@ -340,7 +340,7 @@ def read_json(path: Path) -> dict[str, Any]:
         CheckpointError: it is missing or damaged; says what to do.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
     except OSError as error:
         why = f"{path} cannot be read ({error.strerror}); is this the folder of a finished run?"
         raise CheckpointError(why) from error

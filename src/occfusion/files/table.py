@@ -17,11 +17,18 @@ def write_table(path: Path | str, columns: Sequence[str], rows: Iterable[Mapping
 
 
 def read_table(path: Path | str) -> list[dict[str, str]]:
-    """Returns the rows of a CSV, all values as text; none where there is no such file."""
+    """Returns the rows of a CSV, all values as text; none where there is no such file.
+
+    Raises:
+        ValueError: it is no table of text.
+    """
     if not Path(path).is_file():
         return []
-    with Path(path).open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    try:
+        with Path(path).open(newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: no table ({error})") from error
 
 
 def table_bytes(columns: Sequence[str], rows: Iterable[Mapping[str, Any]], *, header: bool = True) -> bytes:

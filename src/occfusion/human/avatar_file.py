@@ -13,6 +13,7 @@ from torch import Tensor
 
 from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_bytes
+from occfusion.files.jsonfile import parse_json
 from occfusion.files.ply import SplatTable, write_ply
 from occfusion.human.avatar import Avatar
 from occfusion.human.body import Body
@@ -121,7 +122,7 @@ def make_avatar(path: Path, body: Body, description: dict[str, Any], tensors: di
 
 def _stored(path: Path, metadata: dict[str, str] | None) -> Any:
     try:
-        return json.loads((metadata or {})["avatar"])
+        return parse_json((metadata or {})["avatar"])
     except (KeyError, ValueError) as error:
         raise CheckpointError(f"{path}: a safetensors file, but not an avatar") from error
 

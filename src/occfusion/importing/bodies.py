@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -33,6 +32,7 @@ from occfusion.data.video.pose_table import read_motion
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.arrays import load_npy, load_npz
 from occfusion.files.joblibfile import load_joblib
+from occfusion.files.jsonfile import parse_json
 
 _SMPLX = "its body is SMPL-X: pose and place are taken, and the shape's numbers mean something else to SMPL."
 _NLF_FIELD = 55
@@ -162,7 +162,8 @@ def _numbers(table: Mapping[Any, Any], key: str, width: int, where: str) -> Floa
     array = np.asarray(value.numpy() if isinstance(value, torch.Tensor) else value)
     if array.dtype.kind not in "fiu" or array.size % width or not array.size:
         raise DataError(f"{where}, {key}: has shape {array.shape}, expected rows of {width} numbers.")
-    return array.astype(np.float64).reshape(-1, width)
+    with np.errstate(invalid="ignore"):  # what is not finite is refused with its name later
+        return array.astype(np.float64).reshape(-1, width)
 
 
 def _diagonal(size: tuple[int, int]) -> Floats:
@@ -369,7 +370,7 @@ def _json_rows(folder: Path) -> list[tuple[int, list[Any]]]:
     rows = []
     for file in files:
         try:
-            content = json.loads(file.read_text(encoding="utf-8"))
+            content = parse_json(file.read_text(encoding="utf-8"))
             rows.append((int(file.stem), content["annots"] if isinstance(content, dict) else content))
         except (ValueError, KeyError, UnicodeDecodeError) as error:
             raise DataError(f"{file}: is no list of people as EasyMocap writes it ({error}).") from error

@@ -107,6 +107,8 @@ def _colmap(path: Path) -> Read:
         try:
             focals = _COLMAP[words[1]]
             values = [float(word) for word in words[4:]]
+            if len(values) < focals + 2:
+                raise IndexError("numbers are missing")
             f = [values[0], values[focals - 1]]
             rows.append([*f, *values[focals : focals + 2], *values[focals + 2 : focals + 3]])
             sizes.add((float(words[2]), float(words[3])))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
+from occfusion.files.jsonfile import parse_json
 from occfusion.human import Avatar
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import Accumulated
@@ -148,7 +148,7 @@ class AppearanceTask(PriorTask[AppearanceNet]):
             shard = self.folder / scene.scene
             identity = {"version": VERSION, "size": SIZE, "made_by": self.made_by, **asdict(scene)}
             marker = shard / "shard.json"
-            if not (marker.is_file() and json.loads(marker.read_text()) == identity):
+            if not (marker.is_file() and parse_json(marker.read_text()) == identity):
                 coarse = self._train(scene, self.folder / "runs" / scene.scene)
                 examples = list(
                     make_examples(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.files.atomic import write_json
+from occfusion.files.jsonfile import parse_json
 from occfusion.human.body import embedded_body
 from occfusion.human.unfolded import UnfoldedBody
 from occfusion.inpaint.completion_net import (
@@ -69,7 +69,7 @@ class CompletionTask(PriorTask[CompletionNet]):
         count, identity = self.settings.examples, {"version": VERSION, "seed": self.seed}
         self.folder.mkdir(parents=True, exist_ok=True)
         marker = self.folder / "corpus.json"
-        made = json.loads(marker.read_text()) if marker.is_file() else {}
+        made = parse_json(marker.read_text()) if marker.is_file() else {}
         start = made.get("examples", 0) if {key: made.get(key) for key in identity} == identity else 0
         if start < count:
             examples: list[Example] = []

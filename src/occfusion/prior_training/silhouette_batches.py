@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.files.atomic import write_json
+from occfusion.files.jsonfile import parse_json
 from occfusion.observation.keypoints import MIRRORED, NUM_KEYPOINTS
 from occfusion.prior_training.random_occluders import centre_strip, draw_hidden, observed, random_half
 from occfusion.prior_training.silhouette_examples import make_corpus
@@ -209,7 +209,7 @@ class Corpus:
         """Makes the corpus if it is not there, yielding how many examples are made."""
         identity = {"version": VERSION, "count": self.count, "seed": self.seed, "size": SIZE}
         marker = self.folder / "corpus.json"
-        if not (marker.is_file() and json.loads(marker.read_text()) == identity):
+        if not (marker.is_file() and parse_json(marker.read_text()) == identity):
             self.folder.mkdir(parents=True, exist_ok=True)
             marker.unlink(missing_ok=True)
             arrays = {name: self._open(name, "w+") for name in _FIELDS}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from occfusion.cpu.processes import is_helper
 from occfusion.files.checkpoint import newest_whole
 from occfusion.files.run_folder import STAGES, RunFolder
 from occfusion.human import write_gaussians_ply
+from occfusion.plan.idle import idle_settings
 from occfusion.report.page import write_report
 from occfusion.report.tables import print_summary
 from occfusion.run.evaluation import PICTURE_FRAMES, evaluate_run
@@ -31,11 +33,18 @@ def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
     return run_in_folder(config, folder_chosen_by_user=folder_chosen_by_user)[1]
 
 
-def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[Path, dict[str, Any]]:
+def run_in_folder(
+    config: DictConfig, *, folder_chosen_by_user: bool, given: Sequence[str] = ()
+) -> tuple[Path, dict[str, Any]]:
     """Runs what a composed configuration asks for; returns the run folder and the figures of its evaluation.
 
     What the same settings, data and evaluation gave before is taken as it is, unless `evaluation.again`. Where
     nothing is evaluated there are no figures; the training of a prior gives its card in their place.
+
+    Args:
+        config: composed.
+        folder_chosen_by_user: whether `output_dir` is the user's.
+        given: the user's overrides; those that change nothing in this run are told.
 
     Raises:
         OccfusionError: anything that the user can mend, before training where it can be known before.
@@ -52,7 +61,8 @@ def run_in_folder(config: DictConfig, *, folder_chosen_by_user: bool) -> tuple[P
     check_checkpoints(RunFolder(Path(settings.output_dir)))
     observed = observe(settings)
     plan = decide(settings, observed)
-    folder = claim(settings, observed, plan, folder_chosen_by_user=folder_chosen_by_user)
+    idle = idle_settings(given, settings, plan)
+    folder = claim(settings, observed, plan, folder_chosen_by_user=folder_chosen_by_user, idle=idle)
     with at_work(folder):
         identity = identify(settings)
         data = f"{observed.data_hash} {observed.held_out_hash}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
 import time
@@ -20,7 +19,8 @@ import occfusion
 from occfusion.cpu.processes import helped_folder, is_helper
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes, json_bytes, write_bytes, write_json
-from occfusion.files.digest import changed, digests
+from occfusion.files.digest import changed, digest, digests
+from occfusion.files.jsonfile import parse_json
 from occfusion.files.lock import Taken, only_one
 from occfusion.files.run_folder import RunFolder, read_json
 from occfusion.run.environment import describe_environment
@@ -125,7 +125,7 @@ def _claim(folder: RunFolder, settings: Settings, description: dict[str, Any]) -
     if _identity_in(marker) != description["identity"]:
         return False
     write_bytes(folder.config, OmegaConf.to_yaml(OmegaConf.create(asdict(settings))).encode())
-    write_json(marker, description)
+    write_json(marker, description | {"config_sha256": digest(folder.config)})
     return True
 
 
@@ -147,10 +147,10 @@ def _is_unfinished(path: Path, folder: RunFolder) -> bool:
 def _identity_in(marker: Path) -> Any:
     deadline = time.monotonic() + MARKER_PATIENCE
     while True:
-        text = marker.read_text(encoding="utf-8")
+        text = marker.read_text(encoding="utf-8", errors="replace")
         try:
-            return json.loads(text)["identity"]
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
+            return parse_json(text)["identity"]
+        except (ValueError, KeyError, TypeError) as error:
             if text or time.monotonic() > deadline:
                 raise CheckpointError(
                     f"{marker} is not readable as a run's description; move the folder away"
@@ -179,11 +179,11 @@ class Identity:
     @cached_property
     def source(self) -> str | None:
         """Fingerprint of names, sizes and times of change of all files that are read; None where they are not known."""
-        digest = hashlib.sha256()
+        state = hashlib.sha256()
         for path in self.sources:
             for line in sorted(_states(path)):
-                digest.update(line.encode())
-        return digest.hexdigest()[:16] if self.sources else None
+                state.update(line.encode())
+        return state.hexdigest()[:16] if self.sources else None
 
 
 def identify(settings: Settings) -> Identity:

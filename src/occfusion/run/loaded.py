@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import torch
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from torch import Tensor
+from yaml import YAMLError
 
 from occfusion.errors import CheckpointError
 from occfusion.files.checkpoint import read_checkpoint
-from occfusion.files.run_folder import STAGES, RunFolder
+from occfusion.files.digest import digest
+from occfusion.files.run_folder import STAGES, RunFolder, read_json
 from occfusion.human import Avatar, load_avatar
 from occfusion.human.avatar_file import make_avatar
 from occfusion.motion import Clip
@@ -95,6 +100,10 @@ def load_run(folder: Path, stage: str | None = None) -> LoadedRun:
     settings = read_settings(own)
     for name in reversed(STAGES) if stage is None else (stage,):
         left = own.stage(name)
+        if (damage := left.damage) is not None:
+            print(
+                f"{name}: {damage}; its last checkpoint is taken, or the stage before; the same command mends it"
+            )
         if left.has_avatar:
             return LoadedRun(own, settings, load_avatar(left.avatar, make_body(settings.body)), name, None)
         if left.checkpoint.is_file():
@@ -111,12 +120,28 @@ def read_settings(folder: RunFolder) -> Settings:
     """Returns the settings of a run.
 
     Raises:
-        CheckpointError: not a run folder.
+        CheckpointError: not a run folder, or its configuration is damaged.
+        ConfigError: a setting in it cannot be one.
     """
     folder.check_is_run()
-    config = OmegaConf.to_container(OmegaConf.load(folder.config))
-    assert isinstance(config, dict)
+    known = _claimed(folder).get("config_sha256")
+    if known is not None and known != digest(folder.config):
+        raise CheckpointError(f"{folder.config} is not as the run wrote it; let the same command go on")
+    try:
+        config = OmegaConf.to_container(OmegaConf.load(folder.config))
+    except (OmegaConfBaseException, OSError, RecursionError, ValueError, YAMLError) as error:
+        why = (str(error) or type(error).__name__).splitlines()[0]
+        raise CheckpointError(f"{folder.config} is damaged ({why}); let the same command go on") from error
+    if not isinstance(config, dict) or not config:
+        raise CheckpointError(f"{folder.config} is damaged (no settings in it); let the same command go on")
     return load_settings(without_old_names({str(key): value for key, value in config.items()}))
+
+
+def _claimed(folder: RunFolder) -> dict[str, Any]:
+    """Returns what the run wrote of itself; nothing where that is damaged."""
+    with suppress(CheckpointError):
+        return read_json(folder.environment)
+    return {}
 
 
 def stages_with_avatar(folder: RunFolder) -> list[str]:

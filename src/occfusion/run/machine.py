@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -30,6 +31,11 @@ def check_machine(settings: Settings) -> None:
         )
     place = Path(settings.output_dir).absolute()
     exists = next(folder for folder in (place, *place.parents) if folder.exists())
+    if not os.access(exists, os.W_OK | os.X_OK):
+        raise ConfigError(
+            f"output_dir={settings.output_dir}: {exists} cannot be written (rights, or a read-only disk); name another "
+            "folder"
+        )
     free = shutil.disk_usage(exists).free / 1e6
     if free < ROOM_MB:
         raise ConfigError(

@@ -277,8 +277,15 @@ def decide(settings: Settings, observed: Observed) -> Plan:
     return plan
 
 
-def claim(settings: Settings, observed: Observed, plan: Plan, *, folder_chosen_by_user: bool) -> RunFolder:
-    """Returns the run's own folder, with the plan in it; tells the user of both.
+def claim(
+    settings: Settings,
+    observed: Observed,
+    plan: Plan,
+    *,
+    folder_chosen_by_user: bool,
+    idle: Sequence[str] = (),
+) -> RunFolder:
+    """Returns the run's own folder, with the plan in it; tells the user of both, and of settings that do nothing.
 
     Raises:
         ConfigError: the folder that the user named holds another run, or cannot be written.
@@ -291,12 +298,14 @@ def claim(settings: Settings, observed: Observed, plan: Plan, *, folder_chosen_b
     )
     if not is_helper():
         seen = None if observed.coverage is None else observed.coverage.json()
-        write_json(folder.plan, plan.json() | {"coverage": seen, "scene": observed.summary})
+        write_json(folder.plan, plan.json() | {"coverage": seen, "scene": observed.summary, "idle": [*idle]})
         observed.data.store_occlusion(folder.occlusion)
         record_sequence(folder, observed.data, settings)
         _tell("data", observed.data.taken.lines())
         if observed.coverage is not None:
             _tell("directions", [observed.coverage.text(), *observed.coverage.warnings()])
+        if idle:
+            _tell("settings that change nothing in this run", idle)
         _tell("plan", [*plan.lines(), f"all decisions: {folder.plan}"])
     return folder
 

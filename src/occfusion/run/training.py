@@ -13,7 +13,7 @@ import numpy as np
 
 from occfusion.cpu.processes import is_helper, tell_helpers
 from occfusion.data.module import HumanDataModule
-from occfusion.errors import ConfigError
+from occfusion.errors import ConfigError, DataError
 from occfusion.files.atomic import write_json
 from occfusion.files.digest import digest
 from occfusion.files.run_folder import RunFolder, StageFolder
@@ -46,7 +46,7 @@ WARM_UP_SAID = 0.05
 
 @dataclass(frozen=True)
 class Fitted:
-    """How the training of a stage ended, with all its steps done.
+    """How the training of a stage ended, with all its steps done or its time over.
 
     Attributes:
         steps: done.
@@ -98,6 +98,7 @@ def fit(
     Raises:
         Interrupted: a signal stopped it; the same command continues.
         CheckpointError: the checkpoint is damaged.
+        DataError: what it trains on ended early.
     """
     chosen, guard, logs = settings.trainer, SignalGuard(), Logs([], [])
     earlier = None if chosen.fast_dev_run else resumable(checkpoint, stage)
@@ -129,7 +130,17 @@ def fit(
         trainer.fit(stage, batches, ckpt_path=earlier, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(checkpoint))
+    if trainer.global_step < trainer.max_steps and not chosen.fast_dev_run:
+        _tell_early_end(stage.name, trainer.global_step, int(trainer.max_steps), chosen.max_time)
     return Fitted(trainer.global_step, guard.received, checkpoint)
+
+
+def _tell_early_end(name: str, steps: int, wanted: int, max_time: str | None) -> None:
+    if max_time is None:  # Lightning ends without a word where there is nothing to train on
+        raise DataError(f"stage {name}: what it trains on ended after {steps} of {wanted} steps")
+    if not is_helper():
+        ended = f"trainer.max_time={max_time} ended it after {steps} of {wanted} steps"
+        print(f"{name}: {ended}; rates and schedules had not come to their ends")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import torch
 
 from occfusion.errors import DataError
 from occfusion.files.atomic import write_json
+from occfusion.files.jsonfile import parse_json
 from occfusion.types import Camera
 
 TRAIN, HELD_OUT = "train", "held_out"
@@ -68,7 +68,7 @@ def read_views(path: Path, group: str = "cameras") -> list[View]:
         DataError: missing, damaged, without that group, or a camera that cannot be one; names the row.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
     except ValueError as error:

@@ -13,6 +13,7 @@ from occfusion.files.atomic import write_bytes
 from occfusion.files.table import write_table
 from occfusion.report.page import markdown_table
 from occfusion.stability.axes import Row
+from occfusion.stability.drawing import draw_error_vs_time
 
 PANEL, MARGIN, COLUMNS = (330, 210), (46, 26), 3
 FLOOR, CEILING = -17, 1
@@ -57,6 +58,7 @@ def write_sweep(output: Path, rows: Sequence[Row], environment: dict[str, Any]) 
     ]
     write_bytes(output / "stability.md", ("\n\n".join(text) + "\n").encode())
     write_bytes(output / "stability.svg", drawing.encode())
+    write_bytes(output / "stability_time.png", draw_error_vs_time(rows))
     lines = "".join(
         f'<tr class="{"" if row.verdict == "holds" else "exceeds"}">'
         + "".join(f"<td>{escape(cell)}</td>" for cell in shown)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import lightning as L
 import torch
@@ -56,9 +57,7 @@ class Stage(L.LightningModule):
 
 def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame: str) -> None:
     """Raises NumericsError naming the first loss term that is not finite."""
-    values = list(terms.values())
-    # a sum is finite only if all its parts are: one look in place of one for each
-    if not values or bool(torch.isfinite(torch.stack(values).detach().sum())):
+    if _is_finite([value.detach() for value in terms.values()]):
         return
     for name, value in terms.items():
         if not bool(torch.isfinite(value)):
@@ -68,18 +67,25 @@ def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame
             )
 
 
-def check_finite_gradients(groups: Iterable[Mapping[str, object]], stage: str, step: int, frame: str) -> None:
+def check_finite_gradients(groups: Iterable[Mapping[str, Any]], stage: str, step: int, frame: str) -> None:
     """Raises NumericsError naming the first parameter group whose gradient is not finite."""
-    groups = list(groups)
-    gradients = [p.grad for group in groups for p in group["params"] if p.grad is not None]  # type: ignore[attr-defined]
-    # lengths are finite only if all their parts are, or squares overflow: then each is looked at
-    if not gradients or bool(torch.isfinite(torch.stack(torch._foreach_norm(gradients)).sum())):
+    named = [
+        (str(group["name"]), parameter.grad)
+        for group in groups
+        for parameter in group["params"]
+        if parameter.grad is not None
+    ]
+    # a sum is finite only if all its parts are, and costs a fraction of testing each
+    if _is_finite([gradient.sum() for _, gradient in named]):
         return
-    for group in groups:
-        for parameter in group["params"]:  # type: ignore[attr-defined]
-            # a sum is finite only if all its parts are, and costs a fraction of testing each
-            if parameter.grad is not None and not bool(torch.isfinite(parameter.grad.sum())):
-                raise NumericsError(
-                    f"stage {stage}, step {step}, frame {frame}: the gradient of `{group['name']}` is not finite. "
-                    f"The state before this step is saved"
-                )
+    for name, gradient in named:
+        if not bool(torch.isfinite(gradient).all()):
+            raise NumericsError(
+                f"stage {stage}, step {step}, frame {frame}: the gradient of `{name}` is not finite. "
+                f"The state before this step is saved"
+            )
+
+
+def _is_finite(values: Sequence[Tensor]) -> bool:
+    """Returns whether single numbers are all finite, asking once: each question waits for the device."""
+    return not values or bool(torch.isfinite(torch.stack([*values]).sum()))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.atomic import write_json
+from occfusion.files.jsonfile import parse_json
 from occfusion.synth.spec import SceneSpec
 
 MANIFEST = "scene.json"
@@ -23,7 +23,7 @@ def write_manifest(folder: Path, spec: SceneSpec) -> None:
 def written_spec(folder: Path) -> SceneSpec | None:
     """Returns what a folder was written from; None where it is no scene of this version of the generator."""
     try:
-        content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        content = parse_json((folder / MANIFEST).read_text(encoding="utf-8"))
         if content["format"] != FORMAT or content["version"] != VERSION:
             return None
         return SceneSpec(**content["spec"])
@@ -42,7 +42,7 @@ def is_current(folder: Path, spec: SceneSpec) -> bool:
     if folder.is_dir() and not any(folder.iterdir()):
         return False
     try:
-        content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        content = parse_json((folder / MANIFEST).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DataError(
             f"{folder}: exists and is no scene written here (no {MANIFEST}); it is left alone. "

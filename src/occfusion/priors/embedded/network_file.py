@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from occfusion.errors import DataError
 from occfusion.files.atomic import write_bytes
+from occfusion.files.jsonfile import parse_json
 
 MAX_BYTES = 64_000_000
 
@@ -95,7 +96,7 @@ def load_net(
         raise DataError(f"{path}: {path.stat().st_size} bytes are too many for a prior of kind {kind}")
     try:
         with safe_open(path, framework="pt") as file:
-            card = json.loads((file.metadata() or {})["occfusion"])
+            card = parse_json((file.metadata() or {})["occfusion"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
         if card["network"] != kind or card["size"] != size:
             raise KeyError("network")
