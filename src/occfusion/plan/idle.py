@@ -53,10 +53,9 @@ def _rules(settings: Settings, plan: Plan) -> Iterator[tuple[str, str]]:
         yield "optim.sds", f"no score is distilled; {why}"
     else:
         for name in ("pose", "can"):
-            if (why := reasons.get(f"loss term sds_{name}")) and getattr(
-                settings.optim.sds, f"lambda_{name}"
-            ):
-                yield f"optim.sds.lambda_{name}", why
+            left_out = reasons.get(f"loss term sds_{name}")
+            if left_out and getattr(settings.optim.sds, f"lambda_{name}"):
+                yield f"optim.sds.lambda_{name}", left_out
     yield from _of_prior(settings, plan)
     occlusion = settings.dataset.occlusion
     if occlusion.kind == "none":
