@@ -38,6 +38,9 @@ GROUPS: dict[str, tuple[int, ...]] = {
     "feet": (7, 8, 10, 11), "shoulders": (16, 17), "elbows": (18, 19), "hands": (20, 21, 22, 23),
 }  # fmt: skip
 """Joints whose errors are alike: each group has one spread, the place another."""
+CARRIED = {"head": "trunk", "feet": "knees", "hands": "elbows"}
+"""Ends of the body, each off by no more than what carries it: hair, shoes and fingers change their outlines most, and a
+turned head explains hair."""
 FIRST_TURN, FIRST_PLACE = 0.03, 0.01
 """Radians and metres: spreads that the search begins with."""
 LEAST_TURN, LEAST_PLACE = 1e-4, 1e-4
@@ -54,6 +57,9 @@ FULL_TURN, FULL_PLACE = 0.02, 0.01
 MOST_KNOTS = 60
 AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the correction, that are tried on frames that it was not found by."""
+WORTH = 0.05
+"""Of the misfit with masks, the share that has to go before anything is taken. Clothes that stand off all the time let
+exact poses gain half a percent, wrong ones (0.03 radians) gain 40 (docs/experiments/029-alignment.md)."""
 LEAST_FRAMES = 10
 
 
@@ -90,6 +96,11 @@ class Alignment:
     before: float
 
     @property
+    def is_taken(self) -> bool:
+        """Whether any of it is: else poses stay as they were given."""
+        return self.amount > 0.0
+
+    @property
     def shows_shift(self) -> bool:
         """Whether pictures are certainly shifted or scaled against the cameras, whatever the poses are."""
         return bool((np.abs(self.picture) > CERTAIN * self.picture_error).any())
@@ -112,7 +123,7 @@ class Alignment:
         return (
             f"outlines lie {self.before:.2f} px off the poses as given and {self.noise:.2f} px off the aligned ones; "
             f"joints are off by {np.degrees(np.median(turns)):.1f} degrees, the place by "
-            f"{1000 * self.spreads['place']:.0f} mm. Frames left out of the search fit best with {self.amount:g} of it"
+            f"{1000 * self.spreads['place']:.0f} mm. By frames left out of the search {self.amount:g} of it is taken"
         )
 
 
@@ -198,14 +209,19 @@ class Aligner:
         return value[:72].reshape(24, 3), value[72:]
 
     def _best_amount(self, positions: Sequence[int]) -> float:
-        """Returns how much of the correction fits the masks of frames best that it was not found by."""
+        """Returns how much of the correction fits the masks of frames best that it was not found by.
+
+        0 where that is not worth it.
+        """
         errors = [
             misfits(
                 self._body, self._looks[k], [tuple(a * part for part in self.correction(k)) for a in AMOUNTS]
             )
             for k in positions
         ]
-        return AMOUNTS[int(np.mean(errors, axis=0).argmin())]
+        misfit = np.mean(errors, axis=0)
+        best = int(misfit.argmin())
+        return AMOUNTS[best] if misfit[best] <= (1.0 - WORTH) * misfit[0] else 0.0
 
     def _step(self, positions: Sequence[int], reach: float, registered: bool) -> bool:
         found = [
@@ -244,6 +260,10 @@ class Aligner:
             # a step of MacKay's may leap: by a factor of four at most
             near = np.clip(spread, 0.25 * self.spreads[number], 4.0 * self.spreads[number])
             self.spreads[number] = np.clip(near, least, most)
+        names = list(GROUPS)
+        for end, carrier in CARRIED.items():
+            outer, inner = names.index(end), names.index(carrier)
+            self.spreads[outer] = min(self.spreads[outer], self.spreads[inner])
 
 
 def align_poses(

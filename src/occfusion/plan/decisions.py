@@ -117,7 +117,7 @@ def alignment_decision(settings: Settings, alignment: Alignment | None) -> Decis
         return Decision(part, False, f"{reason}, optim.pose_knots = {settings.optim.pose_knots}")
     if alignment is None:
         return Decision(part, False, f"{reason}; too few frames show an outline")
-    return Decision(part, True, f"{reason}; {alignment.text()}")
+    return Decision(part, alignment.is_taken, f"{reason}; {alignment.text()}")
 
 
 def is_alignment_asked(settings: Settings) -> bool:
@@ -132,10 +132,10 @@ def network_decisions(
 ) -> list[Decision]:
     """Returns the decisions on pose refinement, corrections frame by frame, and the skinning network, in this order.
 
-    They mend poses. Where these were aligned, nothing is decided: corrections frame by frame move as far as the
-    video tells that poses are off, and the networks, which move all angles alike, are left out. Else they are left out
-    where poses fit: the masks of the frames that show a whole person then show the person wherever the body model has
-    it.
+    They mend poses. Where these were aligned, corrections frame by frame move as far as the video tells that poses are
+    off, and the networks, which move all angles alike, are left out. Where an alignment was not worth it, nothing is
+    mended. Where none was found, all are left out if poses fit: the masks of the frames that show a whole person then
+    show the person wherever the body model has it.
     """
     optim = settings.optim
     decisions = [
@@ -145,6 +145,9 @@ def network_decisions(
         ),
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
+    if alignment is not None and not alignment.is_taken and settings.plan == "needed":
+        why = "outlines do not say that poses are off"
+        return [replace(d, used=False, reason=f"{d.reason}; {why}") for d in decisions]
     if alignment is not None and settings.plan == "needed":
         why = "poses are aligned with outlines, and mended frame by frame as far as the video tells"
         left = [replace(d, used=False, reason=f"{d.reason}; {why}") for d in (decisions[0], decisions[2])]

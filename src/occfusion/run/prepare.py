@@ -212,7 +212,7 @@ def _register_and_align(
 
 def _aligned_reader(data: HumanDataModule, body: Body, alignment: Alignment | None) -> Callable[[int], Frame]:
     """Returns what reads a training frame by its position, its pose aligned, without the truth."""
-    spline = None if alignment is None else alignment.spline()
+    spline = alignment.spline() if alignment is not None and alignment.is_taken else None
 
     def read(position: int) -> Frame:
         frame = data.train_frame(position, truth=False)
@@ -353,7 +353,7 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         observed.data_hash,
         frames,
         observed.renderer.device,
-        settings.optim.pose_knots if observed.alignment is not None else 0,
+        settings.optim.pose_knots if observed.alignment is not None and observed.alignment.is_taken else 0,
     )
     known: dict[str, RunStage] = {"init": masks, "optim": Optimisation(shared), "refine": Refinement(shared)}
     return Run(
@@ -376,7 +376,7 @@ def _make_avatar(planned: Settings, observed: Observed) -> Avatar:
         assert observed.key_light is not None  # the plan has one only where one was found
         lamp = torch.from_numpy(observed.key_light.vector).to(body.v_template)
     spline = PoseSpline.over(observed.data.train_indices, knots) if knots else None
-    if knots and observed.alignment is not None:
+    if knots and observed.alignment is not None and observed.alignment.is_taken:
         spline = observed.alignment.spline()
     gaussians = Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness)
     if optim.gaussians not in (0, found := gaussians.num_gaussians):
