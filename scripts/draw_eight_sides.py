@@ -1,4 +1,6 @@
-"""Draws avatars from eight sides, a row each: `python scripts/draw_eight_sides.py OUTPUT.png RUN [RUN ...] [--size 200]`.
+"""Draws avatars from eight sides, a row each.
+
+python scripts/draw_eight_sides.py OUTPUT.png RUN [RUN ...] [--size 200]
 
 The first side is the front of the first frame's pose; the others follow in steps of 45 degrees.
 """

@@ -2,8 +2,8 @@
 
 python scripts/measure_surface.py RUN [RUN ...]        # prints a CSV
 
-For runs on embedded scenes in ZJU-MoCap's layout. The avatar is put into the rest pose, beside the dressed person in the
-rest pose; places are those of `geometry.coverage`, each Gaussian at its nearest vertex. The true surface is a million
+For runs on embedded scenes in ZJU-MoCap's layout. The avatar is put into the rest pose, beside the dressed person
+there; places are those of `geometry.coverage`, each Gaussian at its nearest vertex. The true surface is a million
 points drawn on it, so distances are too large by half a millimetre at most. Bodies of `hard` scenes have another shape
 on disk: their distances hold that as well.
 """
