@@ -83,6 +83,8 @@ THRESHOLDS = (
               "errors from which on cameras are corrected: by bodies as given", "{:.1f}".format),
     Threshold("shift_aligned", "pose_alignment.CERTAIN", pose_alignment.CERTAIN,
               "the same with poses unknown; both have to be certain", "{:.1f}".format),
+    Threshold("gain", "pose_alignment.WORTH", pose_alignment.WORTH,
+              "an alignment that takes away less of the misfit with masks it was not found by is not taken", percent),
     Threshold("spread_turns", "pose_alignment.FULL_TURN", pose_alignment.FULL_TURN,
               "radians that joints are off, from which on training mends them at full rate; less, less",
               "{:.4f}".format),
@@ -117,6 +119,7 @@ def statistics(make: Callable[[Sequence[str]], Settings]) -> dict[str, float | N
         found["shift_given"] = max(abs(v) / e for v, e in zip((*r.shift, r.scale), errors, strict=True))
     if alignment is not None:
         spreads = [value for name, value in alignment.spreads.items() if name != "place"]
+        found["gain"] = alignment.gain
         found["spread_turns"], found["spread_place"] = float(np.median(spreads)), alignment.spreads["place"]
         if registered is not None and not registered.corrections:  # behind a correction nothing is asked
             found["shift_aligned"] = float((np.abs(alignment.picture) / alignment.picture_error).max())

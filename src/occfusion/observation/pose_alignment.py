@@ -72,7 +72,8 @@ class Alignment:
         places: `[K, 3]`, metres.
         spreads: standard deviation of what each group of joints, and the place, is off: radians, metres.
         amount: of what outlines ask for, that is taken: with it bodies fit the masks of frames best that it was not
-            found by.
+            found by. 0 where that is not worth it.
+        gain: share of the misfit with those masks that goes with the best amount.
         told: share of each turn that outlines tell, `[K, 24, 3]`, 0 to 1.
         first: of the spline.
         spacing: of the spline.
@@ -87,6 +88,7 @@ class Alignment:
     places: Floats
     spreads: dict[str, float]
     amount: float
+    gain: float
     told: Floats
     first: float
     spacing: float
@@ -123,7 +125,8 @@ class Alignment:
         return (
             f"outlines lie {self.before:.2f} px off the poses as given and {self.noise:.2f} px off the aligned ones; "
             f"joints are off by {np.degrees(np.median(turns)):.1f} degrees, the place by "
-            f"{1000 * self.spreads['place']:.0f} mm. By frames left out of the search {self.amount:g} of it is taken"
+            f"{1000 * self.spreads['place']:.0f} mm. Of the misfit with masks of frames left out {self.gain:.1%} goes; "
+            f"{self.amount:g} of it is taken, nothing below {WORTH:.0%}"
         )
 
 
@@ -184,7 +187,7 @@ class Aligner:
                 picture, picture_error = self._picture
         if not self._step(everyone[::2], REACH, True):
             return None
-        amount = self._best_amount(everyone[1::2])
+        amount, gain = self._best_amount(everyone[1::2])
         for _ in range(SETTLING):
             if not self._step(everyone, REACH, True):
                 return None
@@ -194,6 +197,7 @@ class Aligner:
             places=amount * self.values[:, 72:],
             spreads=dict(zip((*GROUPS, "place"), self.spreads.tolist(), strict=True)),
             amount=amount,
+            gain=gain,
             told=told.reshape(self._knots, POSE_COLUMNS)[:, :72].reshape(-1, 24, 3),
             first=self._spline.first,
             spacing=self._spline.spacing,
@@ -208,10 +212,10 @@ class Aligner:
         value = self._weights[position] @ self.values
         return value[:72].reshape(24, 3), value[72:]
 
-    def _best_amount(self, positions: Sequence[int]) -> float:
-        """Returns how much of the correction fits the masks of frames best that it was not found by.
+    def _best_amount(self, positions: Sequence[int]) -> tuple[float, float]:
+        """Returns how much of the correction is taken, and the share of the misfit with masks that goes with the best.
 
-        0 where that is not worth it.
+        By the masks of frames that it was not found by; nothing is taken where that is not worth it.
         """
         errors = [
             misfits(
@@ -221,7 +225,8 @@ class Aligner:
         ]
         misfit = np.mean(errors, axis=0)
         best = int(misfit.argmin())
-        return AMOUNTS[best] if misfit[best] <= (1.0 - WORTH) * misfit[0] else 0.0
+        gain = 1.0 - float(misfit[best]) / max(float(misfit[0]), 1e-12)
+        return (AMOUNTS[best] if gain >= WORTH else 0.0), gain
 
     def _step(self, positions: Sequence[int], reach: float, registered: bool) -> bool:
         found = [
