@@ -46,7 +46,7 @@ class Maximiser(Sweeper):
 def sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Runs `train.py -m` with jobs that are done at once: seed k has a PSNR of 20 + k."""
 
-    def job(config: Any, *, folder_chosen_by_user: bool) -> tuple[Path, dict[str, Any]]:
+    def job(config: Any, *, folder_chosen_by_user: bool, given: Any) -> tuple[Path, dict[str, Any]]:
         folder = tmp_path / f"run-{config.seed}"
         write_run(folder, seed=config.seed, psnr=20.0 + config.seed)
         return folder, json.loads((folder / "metrics.json").read_text())

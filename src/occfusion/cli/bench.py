@@ -93,7 +93,9 @@ def _prepare(args: argparse.Namespace) -> torch.device:
         raise ConfigError(
             "--device cuda: torch finds no CUDA device; leave the option out to measure on the CPU"
         )
-    return torch.device(args.device)
+    device = torch.device(args.device)
+    available_backends(device, args.backends)  # a name that is unknown is said before anything is written
+    return device
 
 
 def _measure(args: argparse.Namespace, plan: BenchPlan, device: torch.device) -> Iterator[BenchRow]:

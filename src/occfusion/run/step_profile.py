@@ -144,7 +144,7 @@ def put_probes(probes: Probes, trainer: L.Trainer, stage: AvatarStage) -> None:
     probes.around_closure(optimizer, "step", "Adam")
     for callback in trainer.callbacks:  # type: ignore[attr-defined]
         if isinstance(callback, LossLog):
-            probes.around(callback, "on_train_batch_end", "losses.csv")
+            probes.around(callback, "on_train_batch_end", "log of the losses")
     data = trainer.datamodule  # type: ignore[attr-defined]
     assert isinstance(data, HumanDataModule)
     probes.beside(data.views, "train_frame", "frames unpacked, ahead of the step")
