@@ -12,4 +12,5 @@ if __name__ == "__main__":
 
         sys.exit(main(Path(__file__).resolve().parent / "conf"))
     except KeyboardInterrupt:  # while libraries were imported
+        print("stopped by SIGINT: the same command continues", file=sys.stderr)
         sys.exit(130)

@@ -43,6 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
+        print("stopped by SIGINT", file=sys.stderr)
         return 130
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -11,6 +12,11 @@ def digest(path: Path) -> str:
     """Returns a fingerprint of a file's content."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
+
+
+def digest_of_values(values: object) -> str:
+    """Returns a fingerprint of nested plain values, however a file orders or spells them."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def digests(folder: Path, files: Iterable[Path]) -> dict[str, str]:

@@ -19,7 +19,7 @@ import occfusion
 from occfusion.cpu.processes import helped_folder, is_helper
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.atomic import create_bytes, json_bytes, write_bytes, write_json
-from occfusion.files.digest import changed, digest, digests
+from occfusion.files.digest import changed, digest_of_values, digests
 from occfusion.files.jsonfile import parse_json
 from occfusion.files.lock import Taken, only_one
 from occfusion.files.run_folder import RunFolder, read_json
@@ -124,8 +124,9 @@ def _claim(folder: RunFolder, settings: Settings, description: dict[str, Any]) -
         create_bytes(marker, json_bytes(description))
     if _identity_in(marker) != description["identity"]:
         return False
-    write_bytes(folder.config, OmegaConf.to_yaml(OmegaConf.create(asdict(settings))).encode())
-    write_json(marker, description | {"config_sha256": digest(folder.config)})
+    config = OmegaConf.create(asdict(settings))
+    write_bytes(folder.config, OmegaConf.to_yaml(config).encode())
+    write_json(marker, description | {"settings_sha256": digest_of_values(OmegaConf.to_container(config))})
     return True
 
 

@@ -16,7 +16,7 @@ from yaml import YAMLError
 
 from occfusion.errors import CheckpointError
 from occfusion.files.checkpoint import read_checkpoint
-from occfusion.files.digest import digest
+from occfusion.files.digest import digest_of_values
 from occfusion.files.run_folder import STAGES, RunFolder, read_json
 from occfusion.human import Avatar, load_avatar
 from occfusion.human.avatar_file import make_avatar
@@ -124,17 +124,22 @@ def read_settings(folder: RunFolder) -> Settings:
         ConfigError: a setting in it cannot be one.
     """
     folder.check_is_run()
-    known = _claimed(folder).get("config_sha256")
-    if known is not None and known != digest(folder.config):
-        raise CheckpointError(f"{folder.config} is not as the run wrote it; let the same command go on")
+    known = _claimed(folder).get("settings_sha256")
+    changed = CheckpointError(f"{folder.config} is not as the run wrote it; let the same command go on")
     try:
         config = OmegaConf.to_container(OmegaConf.load(folder.config))
+        if not isinstance(config, dict) or not config:
+            raise ValueError("no settings in it")
     except (OmegaConfBaseException, OSError, RecursionError, ValueError, YAMLError) as error:
         why = (str(error) or type(error).__name__).splitlines()[0]
-        raise CheckpointError(f"{folder.config} is damaged ({why}); let the same command go on") from error
-    if not isinstance(config, dict) or not config:
-        raise CheckpointError(f"{folder.config} is damaged (no settings in it); let the same command go on")
-    return load_settings(without_old_names({str(key): value for key, value in config.items()}))
+        damaged = CheckpointError(f"{folder.config} is damaged ({why}); let the same command go on")
+        raise (damaged if known is None else changed) from error
+    written = {str(key): value for key, value in config.items()}
+    kept = without_old_names(written)
+    settings = load_settings(kept)
+    if known is not None and known not in (digest_of_values(written), digest_of_values(kept)):
+        raise changed
+    return settings
 
 
 def _claimed(folder: RunFolder) -> dict[str, Any]:
