@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from occfusion.cpu.compilation import serial
 from occfusion.synth.rotations import Floats
-from occfusion.synth.shading import Window, sample
+from occfusion.synth.shading import Window, bilinear, sample, texel
 
 
 class LinearMesh(NamedTuple):
@@ -60,27 +60,16 @@ def _shade_linear(
     texture: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    size = texture.shape[1]
     for row in range(face.shape[0]):
         for column in range(face.shape[1]):
             f = face[row, column]
             if f < 0:
                 continue
-            u, v = 0.0, 0.0
-            for k in range(3):
-                u += barycentrics[row, column, k] * uv[f, k, 0]
-                v += barycentrics[row, column, k] * uv[f, k, 1]
-            x = min(max(u * size - 0.5, 0.0), size - 1.001)
-            y = min(max(v * size - 0.5, 0.0), size - 1.001)
-            i, j = int(y), int(x)
-            ty, tx = y - i, x - j
-            page = layer[f]
+            weights = barycentrics[row, column]
+            i, j, ty, tx = texel(weights, uv[f], texture.shape[1])
             for c in range(3):
-                upper = (1.0 - tx) * texture[page, i, j, c] + tx * texture[page, i, j + 1, c]
-                lower = (1.0 - tx) * texture[page, i + 1, j, c] + tx * texture[page, i + 1, j + 1, c]
                 brightness, added = 0.0, 0.0
                 for k in range(3):
-                    w = barycentrics[row, column, k]
-                    brightness += w * light[faces[f, k], c]
-                    added += w * shine[faces[f, k], c]
-                out[row, column, c] = brightness * ((1.0 - ty) * upper + ty * lower) + added
+                    brightness += weights[k] * light[faces[f, k], c]
+                    added += weights[k] * shine[faces[f, k], c]
+                out[row, column, c] = brightness * bilinear(texture[layer[f]], i, j, ty, tx, c) + added

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.cpu.compilation import serial
+from occfusion.cpu.compilation import serial, step
 from occfusion.geometry.zbuffer import ZBuffer, rasterize_mesh
 from occfusion.synth.rotations import Floats
 
@@ -111,29 +111,43 @@ def _shade(
     texture: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    size = texture.shape[1]
     for row in range(face.shape[0]):
         for column in range(face.shape[1]):
             f = face[row, column]
             if f < 0:
                 continue
-            u, v, brightness = 0.0, 0.0, 0.0
+            weights = barycentrics[row, column]
+            brightness = 0.0
             for k in range(3):
-                w = barycentrics[row, column, k]
-                u += w * uv[f, k, 0]
-                v += w * uv[f, k, 1]
-                brightness += w * light[faces[f, k]]
-            # texel centres lie at +0.5; bilinear
-            x = min(max(u * size - 0.5, 0.0), size - 1.001)
-            y = min(max(v * size - 0.5, 0.0), size - 1.001)
-            i, j = int(y), int(x)
-            ty, tx = y - i, x - j
-            page = layer[f]
+                brightness += weights[k] * light[faces[f, k]]
+            i, j, ty, tx = texel(weights, uv[f], texture.shape[1])
             for c in range(3):
-                upper = (1.0 - tx) * texture[page, i, j, c] + tx * texture[page, i, j + 1, c]
-                lower = (1.0 - tx) * texture[page, i + 1, j, c] + tx * texture[page, i + 1, j + 1, c]
-                value = 255.0 * brightness * ((1.0 - ty) * upper + ty * lower)
+                value = 255.0 * brightness * bilinear(texture[layer[f]], i, j, ty, tx, c)
                 out[row, column, c] = min(value, 255.0)
+
+
+@step
+def texel(
+    weights: NDArray[np.float32], corners: NDArray[np.float32], size: int
+) -> tuple[int, int, float, float]:
+    """Returns row and column of the texel above and left of a place on a face, and the shares of the next ones."""
+    u, v = 0.0, 0.0
+    for k in range(3):
+        u += weights[k] * corners[k, 0]
+        v += weights[k] * corners[k, 1]
+    # texel centres lie at +0.5
+    x = min(max(u * size - 0.5, 0.0), size - 1.001)
+    y = min(max(v * size - 0.5, 0.0), size - 1.001)
+    i, j = int(y), int(x)
+    return i, j, y - i, x - j
+
+
+@step
+def bilinear(page: NDArray[np.float32], i: int, j: int, ty: float, tx: float, c: int) -> float:
+    """Returns channel `c` of a layer between four texels."""
+    upper = (1.0 - tx) * page[i, j, c] + tx * page[i, j + 1, c]
+    lower = (1.0 - tx) * page[i + 1, j, c] + tx * page[i + 1, j + 1, c]
+    return (1.0 - ty) * upper + ty * lower
 
 
 @serial
