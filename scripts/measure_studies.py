@@ -14,10 +14,12 @@ import itertools
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean
+
+from disturb_scene import disturb
 
 from occfusion.files.table import read_table, write_table
 
@@ -39,6 +41,21 @@ Row = dict[str, object]
 
 
 @dataclass(frozen=True)
+class Case:
+    """One run.
+
+    Attributes:
+        names: values of the study's keys.
+        overrides: what makes the run.
+        errors: of `disturb_scene`, put into its input.
+    """
+
+    names: tuple[str, ...]
+    overrides: tuple[str, ...]
+    errors: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Study:
     """What is run and how it is told.
 
@@ -46,7 +63,7 @@ class Study:
         about: the page's text above the table.
         size: of the pictures, pixels.
         keys: columns that name a row; `scene` is the first.
-        rows: yields values of the keys and the overrides that make the run.
+        cases: yields its runs.
         group: from a row, what stands in the first columns of the page; rows of one group are averaged.
         heads: titles of those columns.
         cells: titles and formats of figures; several figures in one cell.
@@ -55,7 +72,7 @@ class Study:
     about: str
     size: int
     keys: tuple[str, ...]
-    rows: Callable[[], Iterator[tuple[tuple[str, ...], tuple[str, ...]]]]
+    cases: Callable[[], Iterator[Case]]
     group: Callable[[dict[str, str]], tuple[str, ...]]
     heads: tuple[str, ...]
     cells: dict[str, str]
@@ -65,23 +82,58 @@ def level(row: dict[str, str]) -> str:
     return row["scene"].split("-")[1]
 
 
-def variants() -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
+def variants() -> Iterator[Case]:
     names = ("gauhuman", "A", "B", "C", "D", "E")
     for recipe, subject, poses, name in itertools.product(
         ("ours", "paper"), (103, 104, 105), ("clean", "hard"), names
     ):
-        yield (f"{subject}-{poses}", recipe, name), (f"recipe={recipe}", f"variant={name}")
+        yield Case((f"{subject}-{poses}", recipe, name), (f"recipe={recipe}", f"variant={name}"))
 
 
-def turning() -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
+def turning() -> Iterator[Case]:
     for subject, poses, turn in itertools.product(range(103, 109), ("clean", "hard"), ("", "-front")):
-        yield (f"{subject}-{poses}{turn}",), ("variant=E",)
+        yield Case((f"{subject}-{poses}{turn}",), ("variant=E",))
 
 
-def trial() -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
+def trial() -> Iterator[Case]:
     """Of the paper's priors on people who do not turn: distillation and inpainting, on and off, nothing left out."""
     for subject, poses, name in itertools.product((103, 104, 105), ("clean", "hard"), ("B", "C", "D", "E")):
-        yield (f"{subject}-{poses}-front", name), (f"variant={name}", "plan=full")
+        yield Case((f"{subject}-{poses}-front", name), (f"variant={name}", "plan=full"))
+
+
+AMOUNTS = {
+    "none": (0.0,),
+    "pose": (0.02, 0.05, 0.1),
+    "place": (0.01, 0.02, 0.05),
+    "shape": (0.5, 1.0),
+    "focal": (0.01, 0.03),
+    "shift": (0.5, 1.0, 2.0),
+    "mask": (0.5, 1.0, 2.0),
+    "light": (0.05, 0.1, 0.2),
+    "blur": (0.5, 1.0, 2.0),
+    "noise": (4.0, 8.0, 16.0),
+}
+TOGETHER = {"pose": 0.05, "place": 0.01, "shift": 0.5, "mask": 0.5, "light": 0.05, "blur": 0.5, "noise": 4.0}
+HIDDEN_SHARES = (0.0, 0.25, 0.75, 0.9)
+FRAME_STEPS = (2, 4, 10)
+
+
+def inputs() -> Iterator[Case]:
+    """One error of the input at a time, then several together; the training camera's alone but for bodies."""
+    for subject in (103, 104, 105):
+        scene = f"{subject}-clean"
+        for error, amounts in AMOUNTS.items():
+            for amount in amounts:
+                errors = {error: amount} if amount else {}
+                yield Case((scene, error, f"{amount:g}"), ("variant=E",), errors)
+        yield Case((scene, "together", "1"), ("variant=E",), TOGETHER)
+        for share in HIDDEN_SHARES:
+            yield Case(
+                (scene, "hidden share", f"{share:g}"), ("variant=E", f"dataset.occlusion.share={share:g}")
+            )
+        for step in FRAME_STEPS:
+            override = f"dataset.train_frames=[0,100,{step}]"
+            yield Case((scene, "frames", f"{100 // step}"), ("variant=E", override))
 
 
 FULL = {"PSNR": "{psnr:.2f}", "ST-LPIPS x1000": "{lpips:.1f}", "mask IoU": "{mask_iou:.3f}"}
@@ -104,25 +156,43 @@ STUDIES = {
         lambda row: (level(row), f"`{row['variant']}`"),
         ("poses", "variant"), FULL | HIDDEN | UNSEEN | SECONDS,
     ),
+    "input": Study(
+        "# Error against the error of the input", 128, ("scene", "error", "amount"), inputs,
+        lambda row: (row["error"], row["amount"]),
+        ("error", "amount"), FULL | HIDDEN,
+    ),
 }  # fmt: skip
 
 
-def measure(work: Path, size: int, scene: str, name: str, overrides: Sequence[str]) -> Row:
+def scene_folder(work: Path, size: int, scene: str, errors: Mapping[str, float]) -> Path:
+    """Returns a folder of scenes that holds this one, with these errors; made once."""
+    whole = work / f"scenes-{size}"
+    if not (whole / scene).is_dir():
+        made = ["synth", str(whole), "--scene", scene, "--size", str(size), "--cameras", "8"]
+        subprocess.run([sys.executable, "-m", "occfusion", *made], check=True)
+    if not errors:
+        return whole
+    off = work / f"off-{size}" / "-".join(f"{name}{amount:g}" for name, amount in errors.items())
+    if not (off / scene).is_dir():
+        disturb(whole / scene, off / f"{scene}.partial", errors)
+        (off / f"{scene}.partial").rename(off / scene)
+    return off
+
+
+def measure(work: Path, size: int, case: Case, name: str) -> Row:
     """Returns the figures of a run made for them.
 
     Raises:
         CalledProcessError: the run failed.
     """
-    data, folder = work / f"scenes-{size}", work / "runs" / name
-    if not (data / scene).is_dir():
-        made = ["synth", str(data), "--scene", scene, "--size", str(size), "--cameras", "8"]
-        subprocess.run([sys.executable, "-m", "occfusion", *made], check=True)
+    scene, folder = case.names[0], work / "runs" / name
+    data = scene_folder(work, size, scene, case.errors)
     options = (
         "dataset=zju", f"dataset.root={data}", f"dataset.scene={scene}", f"dataset.image_size={size}",
         "body=smpl", f"body.path={data / scene / 'body.npz'}", f"output_dir={folder}", f"shared_dir={work / 'shared'}",
         "trainer.enable_progress_bar=false", "evaluation.perceptual_every=4", "evaluation.pictures=false",
     )  # fmt: skip
-    subprocess.run([sys.executable, "train.py", *options, *overrides], check=True, cwd=ROOT)
+    subprocess.run([sys.executable, "train.py", *options, *case.overrides], check=True, cwd=ROOT)
     metrics = json.loads((folder / "metrics.json").read_text())
     full, hidden, unseen = (metrics["regions"][region] for region in ("full", "hidden", "unseen"))
     revision = subprocess.run(
@@ -163,16 +233,11 @@ def main() -> None:
     rows: list[Row] = [dict(row) for row in read_table(table)]
     if not arguments.page:
         done = {tuple(row[key] for key in study.keys) for row in rows}
-        for names, overrides in study.rows():
-            if names not in done:
-                figures = measure(
-                    arguments.work.resolve(),
-                    study.size,
-                    names[0],
-                    "-".join((arguments.study, *names)),
-                    overrides,
-                )
-                rows.append({**dict(zip(study.keys, names, strict=True)), **figures})
+        for case in study.cases():
+            if case.names not in done:
+                name = "-".join((arguments.study, *case.names)).replace(" ", "_")
+                figures = measure(arguments.work.resolve(), study.size, case, name)
+                rows.append({**dict(zip(study.keys, case.names, strict=True)), **figures})
                 write_table(table, (*study.keys, *FIGURES, "seconds", "revision"), rows)
     file = RESULTS / f"{arguments.study}.md"
     text = file.read_text() if file.is_file() else f"{study.about}\n\n{BEGUN}\n{ENDED}\n"
