@@ -49,7 +49,9 @@ def run_tiny(
         f"body.path={scene_root / SCENE / 'body.npz'}", f"output_dir={folder}",
         "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "refine.lambda_lpips=0",
         "evaluation.perceptual=false", "evaluation.turntable=0",
-        "evaluation.curve_images=1", "evaluation.training_stride=9", "dataset.test_frames=[0,10,9]",
+        # two thirds of a tiny run's time; tests of their own have them, and whole runs in `test_quality.py`
+        "optim.align_poses=false", "optim.unseen_colors=nearest", "evaluation.curve_images=1",
+        "evaluation.training_stride=9", "dataset.test_frames=[0,10,9]",
     ]  # fmt: skip
     with initialize_config_dir(str(CONF), version_base="1.3"):
         config = compose("config", [*fixed, *overrides])
