@@ -46,6 +46,7 @@ AT_TOP_LEVEL_ONLY_IN = {
     "smplx": set(),
     "anny": set(),
     "viser": set(),
+    "trimesh": set(),
     "ai_edge_litert": set(),
 }
 # libraries that only a few parts may touch at all

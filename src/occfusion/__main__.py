@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from types import ModuleType
 
+from occfusion.cpu.loading import loading
 from occfusion.errors import OccfusionError
 
 TRAIN = "train"
@@ -79,8 +80,11 @@ def _run_verb(arguments: list[str]) -> int:
 
 
 def _module(verb: str) -> ModuleType:
-    name = MODULES.get(verb, verb.replace("-", "_"))
-    return importlib.import_module(f"occfusion.cli.{name}")
+    name = f"occfusion.cli.{MODULES.get(verb, verb.replace('-', '_'))}"
+    if name not in sys.modules:
+        with loading():
+            importlib.import_module(name)
+    return sys.modules[name]
 
 
 if __name__ == "__main__":

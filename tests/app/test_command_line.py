@@ -1,5 +1,6 @@
 """The command lines as a user types them, in processes of their own."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -8,6 +9,8 @@ import time
 from pathlib import Path
 
 import pytest
+
+from occfusion.cpu.loading import loading
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1"}
@@ -91,3 +94,14 @@ def test_sigterm_saves_exits_with_143_and_the_same_command_goes_on(tmp_path: Pat
         _, errors = process.communicate(timeout=100)
     assert process.returncode == 143, errors
     assert "the same command continues" in errors
+
+
+def test_garbage_is_searched_for_again_after_loading() -> None:
+    with loading():
+        with loading():
+            pass
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    with pytest.raises(ImportError), loading():
+        import occfusion.nothing_of_this_name  # noqa: F401
+    assert gc.isenabled()

@@ -9,6 +9,7 @@ import sys
 import webbrowser
 from pathlib import Path
 
+from occfusion.cpu.loading import loading
 from occfusion.errors import ConfigError
 from occfusion.viewer.room import furnish
 
@@ -31,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serves until it is interrupted; returns the exit code."""
     try:
-        import viser
+        with loading():
+            import viser
     except ImportError:
         raise ConfigError(
             "view needs viser, which is not installed: pip install 'occfusion[view]', in a clone pip install '.[view]'"
@@ -56,7 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.browser and not webbrowser.open(address):
         print("--browser: no browser was found here; open the address above in one", file=sys.stderr)
     try:
-        from occfusion.viewer.page import Page, names_of  # takes seconds, in which the browser gets the page
+        with loading():  # takes seconds, in which the browser gets the page
+            from occfusion.viewer.page import Page, names_of
 
         page = Page(server, names_of(arguments.runs), arguments.motion)
         if page.figure.run.remark:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -36,6 +35,8 @@ def write_obj(path: Path, vertices: Tensor, surface: Surface) -> None:
     Raises:
         DataError: the disk refuses.
     """
+    import trimesh
+
     colors = (255 * surface.colors).round().byte().numpy()
     mesh = trimesh.Trimesh(vertices.numpy(), surface.faces, vertex_colors=colors, process=False)
     text = trimesh.exchange.obj.export_obj(mesh, include_normals=True, include_texture=False)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
@@ -82,6 +81,8 @@ def find_surface(avatar: Avatar, betas: Tensor, renderer: Renderer) -> Surface:
     body = avatar.body
     shape = body.shapedirs[:, :, : len(betas)] @ betas
     attributes = {"weights": body.weights.numpy(), "shape": shape.numpy()}
+    import trimesh
+
     vertices, faces, finer = trimesh.remesh.subdivide(
         avatar.da_vertices.numpy(), body.faces.numpy(), vertex_attributes=attributes
     )

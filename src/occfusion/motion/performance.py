@@ -9,12 +9,12 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 from torch import Tensor
 
 from occfusion.geometry.skinning import blend, bone_transforms, posed_joints, skin_points
 from occfusion.human import Body
 from occfusion.motion.clip import Array, Clip
+from occfusion.motion.smoothing import least_nearby, smoothed
 from occfusion.types import Pose
 
 FLOOR_SECONDS = 2.0
@@ -64,7 +64,7 @@ class Performance:
         """Places that a camera follows, `[T, 3]`, upright frame: on the floor below the pelvis, smooth."""
         over_floor = self.roots * (1.0, 0.0, 1.0)
         rate = self.clip.fps or _UNKNOWN_RATE
-        return np.asarray(gaussian_filter1d(over_floor, 0.5 * rate, axis=0, mode="nearest"))
+        return smoothed(over_floor, 0.5 * rate)
 
 
 @torch.no_grad()
@@ -143,8 +143,7 @@ def _placed(clip: Clip, body: Body, betas: Tensor) -> tuple[Array, Array]:
 def _floor(lowest: Array, fps: float) -> Array:
     """Returns the height of the floor at each frame, `[T]`: the least within a window of time, smoothed."""
     window = max(round(FLOOR_SECONDS * fps), 1)
-    least = minimum_filter1d(lowest, window, mode="nearest")
-    return np.asarray(gaussian_filter1d(least, window / 4, mode="nearest"))
+    return smoothed(least_nearby(lowest, window), window / 4)
 
 
 def _upright(joints: Array, up: Array, floor: float) -> Array:

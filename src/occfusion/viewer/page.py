@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-import trimesh
 
 from occfusion.errors import OccfusionError
 from occfusion.export.mesh import JOINTS
@@ -231,6 +230,8 @@ class Page:
     def _send_ellipsoids(self, splats: Splats) -> None:
         self._hide("splats")
         quats, scales = splats.ellipsoids()
+        import trimesh  # with what it brings, half a second that the first picture need not wait for
+
         ball = trimesh.creation.icosphere(subdivisions=1)
         self._handles["ellipsoids"] = self.server.scene.add_batched_meshes_simple(
             "/ellipsoids", np.asarray(ball.vertices, np.float32), np.asarray(ball.faces, np.uint32), quats,

@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
 from occfusion.data.body_convention import read_body
 from occfusion.data.folder_contents import MAX_DIGITS
@@ -27,9 +28,11 @@ from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFile
 from occfusion.data.zju.annots import Annots
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.arrays import load_npy
-from occfusion.synth.actor import Actor
 from occfusion.synth.manifest import MANIFEST, written_spec
 from occfusion.synth.spec import SceneSpec
+
+if TYPE_CHECKING:
+    from occfusion.synth.actor import Actor
 
 KEPT_FRAMES = 64
 """Surfaces held in memory, 0.3 MB each: held-out views come camera by camera, so the same few moments recur."""
@@ -56,6 +59,9 @@ def true_surface(folder: Path) -> Callable[[int], Surface] | None:
 
 @lru_cache(maxsize=2)
 def _actor(spec: SceneSpec) -> Actor:
+    # of embedded people alone, and only where their truth is asked for
+    from occfusion.synth.actor import Actor
+
     return Actor(spec)
 
 
