@@ -27,10 +27,10 @@ lint: install
 	$(VENV)/bin/python -m ruff format --check .
 	$(VENV)/bin/python -m mypy
 
-# requirements.lock holds what the package needs, requirements-dev.lock also what its tests need. Releases that are in the
-# files stay where they still fit; without the files the newest are taken.
+# requirements.lock holds what the package needs, requirements-dev.lock also what its tests need, which can ask for older
+# releases: it comes first. Releases that are in the files stay where they still fit; without the files the newest are taken.
 LOCK = echo "$(TORCH)" | $(VENV)/bin/uv --config-file .ci/lock.toml pip compile --quiet pyproject.toml -
 lock: install
 	$(VENV)/bin/python -m pip install --progress-bar off "uv>=0.13"
-	$(LOCK) --output-file requirements.lock
-	$(LOCK) --extra dev --extra sd15 --extra fleet --constraints requirements.lock --output-file requirements-dev.lock
+	$(LOCK) --extra dev --extra sd15 --extra fleet --output-file requirements-dev.lock
+	$(LOCK) --constraints requirements-dev.lock --output-file requirements.lock
