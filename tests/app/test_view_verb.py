@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
+import headless
 import numpy as np
 import pytest
 import torch
@@ -89,10 +89,7 @@ def test_a_run_without_an_avatar_is_one_message(short_run: Path, tmp_path: Path)
 @pytest.fixture
 def server() -> Iterator[Any]:
     viser = pytest.importorskip("viser", reason="no viser (extra `view`): its page goes untested here")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    made = viser.ViserServer("127.0.0.1", port, verbose=False)
+    made = viser.ViserServer("127.0.0.1", headless.free_port(), verbose=False)
     furnish(made)
     yield made
     made.stop()
