@@ -313,7 +313,10 @@ class RunFolder:
             CheckpointError: not a run folder.
         """
         if not self.config.is_file():
-            raise CheckpointError(f"{self.path} is not a run folder: {self.config.name} is missing")
+            raise CheckpointError(
+                f"{self.path} is not a run folder: {self.config.name} is missing; name the folder that "
+                "training printed, such as runs/synthetic/001-clean/E"
+            )
 
     def read_metrics(self) -> dict[str, Any]:
         """Returns the content of `metrics`.
