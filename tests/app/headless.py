@@ -87,7 +87,7 @@ class Page:
         raise TimeoutError(expression)
 
 
-SELDOM = "window.requestAnimationFrame = f => setTimeout(() => f(performance.now()), 1500)"
+SELDOM = "window.requestAnimationFrame = f => setTimeout(() => f(performance.now()), 4000)"
 """Without a GPU a page that draws without pause leaves no time for clicks."""
 
 
