@@ -289,7 +289,7 @@ def test_the_page_shows_five_poses_as_we_do_and_a_wrong_bone_shows(run: Path, tm
     assert "http://" not in path.read_text().split("<script type", 1)[0]
     showing = shown(run, "squat", 5, "even")
     upright = showing.painter.performance.upright
-    with headless.opened(path, tmp_path / "profile") as page:
+    with headless.opened(path, tmp_path / "profile", headless.SELDOM) as page:
         page.wait_for("!!window.occfusion || window.occfusionError", 90)
         assert page.evaluate("String(window.occfusionError)") == "undefined"
 
