@@ -57,6 +57,43 @@ def test_held_out_masks_that_show_nobody_are_said(scene: TinyScene) -> None:
     assert any("no mask of the 2 held-out cameras shows a person" in finding for finding in data.findings)
 
 
+def test_poses_in_reverse_order_are_refused_and_rotations_swapped_are_said(scene: TinyScene) -> None:
+    annots = scene.annots()
+    R = annots["cams"]["R"]
+    R[0], R[1] = R[1], R[0]
+    scene.save_annots(annots)
+    swapped = module(scene, test_frames=[0, 6, 1])
+    swapped.validate()
+    assert any("IoU) in camera Camera_B1; a good fit has 0.8" in finding for finding in swapped.findings)
+    R[0], R[1] = R[1], R[0]
+    scene.save_annots(annots)
+    moved = []
+    for frame, values in enumerate(scene.parameters):  # as if the person walked through the picture
+        pixels = 10 * frame - 25
+        mask = cv2.imread(str(scene.mask(frame)), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(scene.mask(frame)), np.roll(mask, pixels, axis=1))
+        moved.append({**values, "Th": values["Th"] + np.array([[3.0 * pixels / scene.K[0, 0], 0.0, 0.0]])})
+        scene.save_parameters(frame, moved[-1])
+    walking = module(scene, test_cameras=[0], test_frames=[0, 6, 1])
+    walking.validate()
+    assert not walking.findings
+    for frame, values in enumerate(reversed(moved)):
+        scene.save_parameters(frame, values)
+    with pytest.raises(DataError, match=r"misses the person's mask in camera Camera_B1: \d% of the mask"):
+        module(scene, test_cameras=[0], test_frames=[0, 6, 1]).validate()
+
+
+def test_300_shape_components(scene: TinyScene) -> None:
+    """Zeros behind those of the body are left out; others are refused with the name of their file."""
+    more = np.concatenate([scene.parameters[2]["shapes"], np.zeros((1, 290))], axis=1)
+    scene.save_parameters(2, {**scene.parameters[2], "shapes": more})
+    module(scene).validate()
+    more[0, 200] = 0.1
+    scene.save_parameters(2, {**scene.parameters[2], "shapes": more})
+    with pytest.raises(DataError, match=r"frame 2 \(.*2\.npy\), betas: 300 shape components"):
+        module(scene).validate()
+
+
 def test_a_held_out_picture_that_is_cut_short_is_found_before_anything_is_decoded(
     scene: TinyScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
