@@ -2,10 +2,10 @@
 
 `python scripts/stop_at_random.py --stops 200`: a command is stopped again and again, and the same command goes on,
 until it comes to its end; what it made must be what the uninterrupted command made, bit by bit, on a CPU. Commands of
-three kinds take turns: a run of all stages with its evaluation, the training of a prior with its corpus
-(`stage=prior`), and a multirun. Rows are kept in `stops.csv` of `--place` as they come, and the same command goes on
-with them. Exits with 1 where what was made is another thing, a signal ended with another exit code than its own, or a
-traceback was shown.
+four kinds take turns: a run of all stages with its evaluation, the training of a prior with its corpus
+(`stage=prior`), a multirun, and the writing of a scene. Rows are kept in `stops.csv` of `--place` as they come, and
+the same command goes on with them. Exits with 1 where what was made is another thing, a signal ended with another exit
+code than its own, or a traceback was shown.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ CLEAN = {signal.SIGKILL: {-9}, signal.SIGTERM: {143, -15}, signal.SIGINT: {130, 
 """Exit codes that a stop may end with; a signal before Python has begun ends the process itself."""
 SPAN = 0.7
 """Share of a whole command's processor time within which it is stopped; most go on from what an earlier stop left."""
-KINDS = ("run", "prior", "multirun")
+KINDS = ("run", "prior", "multirun", "scene")
 COLUMNS = ("kind", "number", "stops", "signals", "moments", "faults")
 KEPT = (
     "*.safetensors",
@@ -66,6 +66,8 @@ def command(place: Path, kind: str, name: str) -> list[str]:
         "hydra.job.chdir=false",
         f"hydra.sweep.dir={place / name / 'sweep'}",
     ]
+    if kind == "scene":
+        return ["synth", str(place / name), "--size", "64", "--frames", "8", "--cameras", "2"]
     words = {
         "run": [*scene, "variant=E", f"output_dir={place / name / 'run'}"],
         "prior": [*prior, f"output_dir={place / name / 'run'}"],
@@ -77,6 +79,7 @@ def command(place: Path, kind: str, name: str) -> list[str]:
 def preload() -> None:
     """Imports what commands import, so that processes forked from this one need not: most stops then fall into work."""
     sys.path[:0] = [str(ROOT / "src")]
+    import occfusion.cli.synth
     import occfusion.cli.train
     import occfusion.run.app  # noqa: F401
 
@@ -101,12 +104,13 @@ def run_until(
             os.dup2(stream, 1)
             os.dup2(stream, 2)
             signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+            from occfusion.__main__ import main as verb
             from occfusion.cli.train import find_config_dir
             from occfusion.cli.train import main as train
 
             sys.argv = list(arguments)
             try:
-                code = train(find_config_dir())
+                code = verb(list(arguments)) if arguments[0] == "synth" else train(find_config_dir())
             except KeyboardInterrupt:  # as train.py does
                 code = 130
             except BaseException:  # as Python would show it
@@ -136,7 +140,7 @@ def made(folder: Path) -> dict[str, object]:
     found: dict[str, object] = {}
     for path in sorted({path for pattern in KEPT for path in folder.rglob(pattern)}):
         name = path.relative_to(folder).as_posix()
-        if name.startswith("shared/"):
+        if name.startswith("shared/") or not path.is_file():
             continue
         if path.suffix == ".safetensors":  # its header has the seconds that it took
             found[name] = {
@@ -149,6 +153,8 @@ def made(folder: Path) -> dict[str, object]:
 
 def moment(folder: Path, kind: str) -> str:
     """Returns what a stopped command was at, by what is there of its first run that is not finished."""
+    if kind == "scene":
+        return "scene"
     if kind == "prior":
         run = folder / "run"
         return "prior" if (run / "losses.csv").exists() else "corpus"

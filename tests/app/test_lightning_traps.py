@@ -50,9 +50,9 @@ class Falling(Stage):
         return torch.optim.SGD([{"name": "number", "params": [self.number]}], lr=0.1)
 
 
-def fitted(place: Path, batches: list[torch.Tensor], steps: int) -> Falling:
+def fitted(place: Path, batches: list[torch.Tensor], steps: int, falling: Falling | None = None) -> Falling:
     trainer = TrainerSettings(accelerator="cpu", enable_progress_bar=False)
-    stage, chosen = Falling(), replace(Settings(), trainer=trainer)
+    stage, chosen = falling or Falling(), replace(Settings(), trainer=trainer)
     loader = DataLoader(batches, batch_size=None)  # type: ignore[arg-type]
     fit(stage, loader, chosen, RunFolder(place), place / "last.ckpt", steps=steps)
     return stage
