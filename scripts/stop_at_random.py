@@ -43,6 +43,7 @@ KEPT = (
     "per_image.csv",
     "losses.csv",
     "*.ply",
+    "001-clean/**/*.*",
 )
 """What must be the same however often a command was stopped, by the ends of its paths."""
 

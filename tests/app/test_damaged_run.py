@@ -187,6 +187,18 @@ def test_a_configuration_that_was_cut_short_is_not_taken_for_defaults(
     assert "not as the stage left it; its last checkpoint is taken" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("content", ["{", "[]", "{}", '{"images": 3}'])
+def test_figures_without_regions_are_measured_again(content: str, short_run: Path, tmp_path: Path) -> None:
+    shutil.copytree(short_run, tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    identity = identify(read_settings(folder))
+    folder.metrics.write_text(content)
+    record_finished(folder, identity, "data")
+    assert finished_in(folder, identity, "data") is None
+    with pytest.raises(CheckpointError, match=r"metrics\.json is damaged or missing"):
+        read_run(folder.path)
+
+
 @pytest.mark.parametrize("content", [b"", b"{", b"\x88\xff", b"[" * 100_000, b"[]", b'{"identity": 3}'])
 def test_a_marker_of_a_run_that_is_none(content: bytes, short_run: Path, tmp_path: Path) -> None:
     shutil.copytree(short_run, tmp_path / "run")
