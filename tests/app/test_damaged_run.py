@@ -210,7 +210,7 @@ def test_a_marker_of_a_run_that_is_none(content: bytes, short_run: Path, tmp_pat
 
 
 @pytest.mark.parametrize("name", ["error_vs_time.csv", "losses.csv"])
-@pytest.mark.parametrize("what", ["garbage", "byte", "another", "missing"])
+@pytest.mark.parametrize("what", ["garbage", "byte", "cut", "another", "missing"])
 def test_a_damaged_table_of_the_training_is_said_and_left_out(
     name: str, what: str, short_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -231,6 +231,7 @@ def test_a_damaged_table_of_the_training_is_said_and_left_out(
     whole = table.read_text()
     damaged: dict[str, bytes] = {
         "garbage": bytes((17 * k) % 251 for k in range(200)),
+        "cut": whole[:-9].encode(),
         "byte": whole.replace(".", ";", 5).encode(),
         "another": whole.replace("optim,12", "optim,11").encode(),
     }

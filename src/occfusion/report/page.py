@@ -56,6 +56,8 @@ def _numbers(path: Path, columns: Sequence[str] = ()) -> list[dict[str, str]]:
     try:
         rows = read_table(path)
         for row in rows:
+            if None in row or None in row.values():
+                raise ValueError("a row of another length")
             int(row["step"])
             if lacking := [column for column in columns if column not in row]:
                 raise ValueError(f"no column {lacking[0]}")

@@ -59,7 +59,7 @@ def differentiable_once(backward: Callable[..., Any]) -> Callable[..., Any]:
             return found
         given = [tensor for tensor in found if tensor is not None]
         causes = [tensor for tensor in (*ctx.saved_tensors, *gradients) if tensor is not None]
-        followed = iter(_Refusal.apply(len(given), *given, *causes))  # type: ignore[no-untyped-call]
+        followed = iter(_Refusal.apply(len(given), *given, *causes))
         return tuple(None if tensor is None else next(followed) for tensor in found)
 
     return once
