@@ -28,4 +28,4 @@ def test_twenty_stops_at_random(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert sum(int(row["stops"]) for row in rows) == STOPS and not any(row["faults"] for row in rows)
     moments = {moment for row in rows for moment in row["moments"].split()}
-    assert len(moments) >= 3, f"all stops fell into {moments}"
+    assert len(moments) >= 2, f"all stops fell into {moments}"
