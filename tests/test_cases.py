@@ -1,4 +1,4 @@
-"""The catalogue of bad inputs, faults and extremes: each of its 46 cases has a test, and the page says which."""
+"""The catalogue of bad inputs, faults and extremes: each of its 46 cases has a test, and each fault that was found."""
 
 from __future__ import annotations
 
@@ -28,6 +28,19 @@ def test_every_case_has_tests_that_are_there() -> None:
     for case in cases():
         assert case["test"].split(), case
         for name in case["test"].split():
+            path, _, function = name.partition("::")
+            assert function in names_in(ROOT / path), name
+
+
+def test_every_fault_that_was_found_has_tests_that_are_there() -> None:
+    with (ROOT / "tests" / "faults.csv").open(newline="") as file:
+        faults = list(csv.DictReader(file))
+    assert len(faults) > 50
+    for fault in faults:
+        assert (
+            all(fault[column] for column in ("kind", "fault", "behaviour", "test")) and None not in fault
+        ), fault
+        for name in fault["test"].split():
             path, _, function = name.partition("::")
             assert function in names_in(ROOT / path), name
 

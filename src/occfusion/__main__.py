@@ -74,6 +74,8 @@ def _run_verb(arguments: list[str]) -> int:
         sub = verbs.add_parser(name, help=text, description=text)
         # a verb's module is imported only when that verb is asked for
         if arguments[:1] == [name]:
+            if not {"-h", "--help"} & set(arguments):  # what it imports takes seconds, and says nothing
+                print(f"occfusion {name}: the program is loaded", file=sys.stderr, flush=True)
             _module(name).add_arguments(sub)
     parsed = parser.parse_args(arguments)
     return int(_module(parsed.verb).run(parsed))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,14 @@ from app.test_init import body as body
 from app.test_init import data as data
 from app.test_init import make as make
 from app.test_init import observed_frames as observed_frames
+from occfusion.compare.reading import read_run
 from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import CheckpointError, ConfigError
 from occfusion.files.checkpoint import read_checkpoint
 from occfusion.files.run_folder import RunFolder
+from occfusion.report.page import write_report
 from occfusion.run.app import check_checkpoints
-from occfusion.run.folder import claim_run_folder
+from occfusion.run.folder import claim_run_folder, finished_in, identify, record_finished
 from occfusion.run.loaded import load_run, read_settings
 from occfusion.stages.base import Stage
 from occfusion.stages.checkpointing import resumable
@@ -80,6 +83,32 @@ def test_whatever_is_damaged_is_made_again_and_said(
     for name, tensors in whole.items():
         found = load_file(folder.stage(name).avatar)
         assert all(torch.equal(found[key], value) for key, value in tensors.items()), name
+
+
+@pytest.mark.slow
+def test_a_finished_run_whose_pictures_or_tables_are_damaged_makes_them_again(
+    scene_root: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were left as they were, and rows of the refinement were lost where the stage before it was taken over."""
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(finished.parent, tmp_path, dirs_exist_ok=True)
+    inpainted = sorted(folder.inpainted.path.rglob("*.png"))[0]
+    pictures = {path: path.read_bytes() for path in (folder.masks.picture(0), inpainted)}
+    avatars = {name: folder.stage(name).avatar.read_bytes() for name in ("optim", "refine")}
+    losses = folder.losses.read_bytes()
+    for path in pictures:
+        change(path)
+    change(folder.stage("optim").avatar)
+    assert folder.masks.altered() == [folder.masks.picture(0)] and folder.inpainted.altered() == [inpainted]
+    run_tiny(scene_root, folder.path, *OPTIONS)
+    said = capsys.readouterr().out
+    assert "not as the run left it" in said and "refine: finished before" in said
+    assert {path: path.read_bytes() for path in pictures} == pictures
+    assert {name: folder.stage(name).avatar.read_bytes() for name in avatars} == avatars
+    assert folder.losses.read_bytes() == losses
+    shutil.rmtree(folder.masks.path)  # a finished run may be without them
+    run_tiny(scene_root, folder.path, *OPTIONS)
+    assert "made again" not in capsys.readouterr().out and not folder.masks.path.exists()
 
 
 def test_the_newest_whole_checkpoint_is_taken(
@@ -158,6 +187,18 @@ def test_a_configuration_that_was_cut_short_is_not_taken_for_defaults(
     assert "not as the stage left it; its last checkpoint is taken" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("content", ["{", "[]", "{}", '{"images": 3}'])
+def test_figures_without_regions_are_measured_again(content: str, short_run: Path, tmp_path: Path) -> None:
+    shutil.copytree(short_run, tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    identity = identify(read_settings(folder))
+    folder.metrics.write_text(content)
+    record_finished(folder, identity, "data")
+    assert finished_in(folder, identity, "data") is None
+    with pytest.raises(CheckpointError, match=r"metrics\.json is damaged or missing"):
+        read_run(folder.path)
+
+
 @pytest.mark.parametrize("content", [b"", b"{", b"\x88\xff", b"[" * 100_000, b"[]", b'{"identity": 3}'])
 def test_a_marker_of_a_run_that_is_none(content: bytes, short_run: Path, tmp_path: Path) -> None:
     shutil.copytree(short_run, tmp_path / "run")
@@ -166,3 +207,48 @@ def test_a_marker_of_a_run_that_is_none(content: bytes, short_run: Path, tmp_pat
     folder.environment.write_bytes(content)
     with pytest.raises((CheckpointError, ConfigError), match=r"move the folder away|name another folder"):
         claim_run_folder(replace(settings, output_dir=str(folder.path)), "data", chosen_by_user=True)
+
+
+@pytest.mark.parametrize("name", ["error_vs_time.csv", "losses.csv"])
+@pytest.mark.parametrize("what", ["garbage", "byte", "cut", "another", "missing"])
+def test_a_damaged_table_of_the_training_is_said_and_left_out(
+    name: str, what: str, short_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was a traceback where it could not be read, and taken over in silence where it was another run's."""
+    shutil.copytree(short_run, tmp_path / "run")
+    folder, table = RunFolder(tmp_path / "run"), tmp_path / "run" / name
+    if not table.is_file():  # the fixture measures no curve
+        table.write_text(
+            "stage,step,train_seconds,wall_seconds,psnr,ssim,lpips,mask_iou,gaussians,peak_memory_mb\n"
+            "optim,0,0,0,10.5,0.9,,0.5,10,1\noptim,12,1,1,20.5,0.9,,0.6,10,1\n"
+        )
+    settings = read_settings(folder)
+    identity = identify(settings)
+    write_report(folder)
+    record_finished(folder, identity, "data")
+    assert f"]({table.with_suffix('.png').name})" in folder.report.read_text()
+    assert finished_in(folder, identity, "data") is not None and not folder.altered_tables()
+    whole = table.read_text()
+    damaged: dict[str, bytes] = {
+        "garbage": bytes((17 * k) % 251 for k in range(200)),
+        "cut": whole[:-9].encode(),
+        "byte": whole.replace(".", ";", 5).encode(),
+        "another": whole.replace("optim,12", "optim,11").encode(),
+    }
+    table.write_bytes(damaged.get(what, b""))
+    if what == "missing":
+        table.unlink()
+    capsys.readouterr()
+    report = folder.report.read_bytes()
+    write_report(folder)
+    said = capsys.readouterr().out
+    assert (f"{table} is damaged, and left out of the report" in said) == (what not in ("another", "missing"))
+    with pytest.raises(CheckpointError, match="not as the run left it") if "error" in name else nullcontext():
+        read_run(folder.path)
+    folder.report.write_bytes(report)
+    assert finished_in(folder, identity, "data") is not None
+    said = capsys.readouterr().out
+    assert f"{table} is missing, or not as the run left it; only training could make it again" in said
+    assert not table.exists() and (what == "missing") != table.with_name(f"{name}.damaged").is_file()
+    write_report(folder)
+    assert f"]({table.with_suffix('.png').name})" not in folder.report.read_text()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -11,15 +12,18 @@ from typing import Any
 
 import lightning as L
 import pytest
+import torch
 
 from app.test_init import CountingPrior, Make, run
 from app.test_init import body as body
 from app.test_init import data as data
 from app.test_init import make as make
 from app.test_init import observed_frames as observed_frames
+from app.test_lightning_traps import Falling, fitted
 from app.test_run import assert_same, parameters
 from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import CheckpointError, DataError
+from occfusion.files.atomic import write_bytes
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 
@@ -84,3 +88,45 @@ def test_checkpoints(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [path.name for path in parts.iterdir()] == ["last.ckpt"]
     train(*apart, folder="parts")
     assert_same(parameters(whole), parameters(parts.parent))
+
+
+def test_a_limit_of_file_sizes_is_a_named_error(tmp_path: Path) -> None:
+    """Of a shell (`ulimit -f`) or a batch system: what was there stays, and nothing half is left."""
+    old, checkpoint = tmp_path / "old.json", tmp_path / "last.ckpt"
+    old.write_text("old")
+    fitted(tmp_path, [torch.ones(())] * 3, 3)
+    whole, before = checkpoint.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(DataError, match=r"old\.json: cannot be written .File too large"):
+            write_bytes(old, bytes(5000))
+        with pytest.raises(CheckpointError, match=r"last\.ckpt: cannot be written .File too large"):
+            fitted(tmp_path, [torch.ones(())] * 4, 4)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert old.read_text() == "old" and checkpoint.read_bytes() == whole
+    assert not list(tmp_path.glob("*.partial"))
+    assert float(fitted(tmp_path, [torch.ones(())] * 4, 4).number) == pytest.approx(0.6)
+
+
+def test_a_step_that_takes_long_is_saved_before_a_minute_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    saved: list[int] = []
+    save = L.Trainer.save_checkpoint
+
+    def noted(self: L.Trainer, *rest: Any, **more: Any) -> None:
+        saved.append(self.global_step)
+        save(self, *rest, **more)
+
+    clock = [0.0]
+
+    class Slow(Falling):
+        def training_step(self, batch: torch.Tensor, number: int) -> torch.Tensor:
+            clock[0] += 20.0
+            return super().training_step(batch, number)
+
+    monkeypatch.setattr(L.Trainer, "save_checkpoint", noted)
+    monkeypatch.setattr("occfusion.stages.checkpointing.time.monotonic", lambda: clock[0])
+    fitted(tmp_path, [torch.ones(())] * 7, 7, Slow())
+    assert saved == [3, 6, 7]

@@ -1,6 +1,7 @@
 """Nothing that a configuration names is called unless a plugin registered it: hostile files, overrides and targets."""
 
 import itertools
+import os
 import signal
 import subprocess
 import sys
@@ -29,6 +30,8 @@ PLACES = (
     "hydra.callbacks.x", "hydra.callbacks.end_table", "hydra.launcher", "hydra.sweeper.sampler", "hydra.run", "hydra",
     "dataset", "optim.sds", "x",
 )  # fmt: skip
+FIRST_WORD = 2.0
+"""Seconds of the processor after which a command says something at the latest; importing torch alone takes 1.5."""
 LOGGING = ("hydra.job_logging", "hydra.hydra_logging")
 
 
@@ -110,10 +113,30 @@ def test_a_file_of_somebody_elses_is_one_plain_message(tmp_path: Path) -> None:
     ) as process:
         assert process.stderr is not None
         assert "settings" in process.stderr.readline()
+        assert busy_seconds(process.pid) < FIRST_WORD
         process.send_signal(signal.SIGINT)
         errors = process.stderr.read()
         assert process.wait(60) == 130
     assert "Traceback" not in errors and "the same command continues" in errors
+
+
+def busy_seconds(process: int) -> float:
+    """Processor time so far: that others are busy on the machine is no part of it."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="Linux tells the time of other processes")
+@pytest.mark.parametrize("verb", ["replay", "stability"])
+def test_the_first_word_of_a_verb_comes_before_its_libraries(verb: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "occfusion", verb, "nowhere"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline() == f"occfusion {verb}: the program is loaded\n"
+        assert busy_seconds(process.pid) < FIRST_WORD
+        process.kill()
 
 
 def test_compiled_code_is_cached_in_one_place_that_can_do_without(monkeypatch: pytest.MonkeyPatch) -> None:

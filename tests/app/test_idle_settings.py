@@ -43,6 +43,9 @@ def told(*overrides: str, shares: list[float] | None = None) -> str:
         (("optim.refine_pose=false", "optim.rates.pose=1e-3"), "optim.rates.pose=1e-3: left out"),
         (("optim.learn_skinning=false", "optim.skinning_every=2"), "optim.skinning_every=2: left out"),
         (("dataset.occlusion.kind=none", "dataset.occlusion.share=0.4"), "kind=none hides nothing"),
+        (("dataset.occlusion.kind=strip", "dataset.occlusion.share=0"), "share=0: nothing is hidden"),
+        (("dataset.occlusion.kind=box", "dataset.occlusion.fraction=0"), "fraction=0: nothing is hidden"),
+        (("dataset.occlusion.kind=moving", "dataset.occlusion.width=0"), "width=0: nothing is hidden"),
         (("evaluation.perceptual=false", "evaluation.perceptual_every=2"), "evaluation.perceptual=false"),
         (("evaluation.curve=false", "evaluation.curve_images=2"), "evaluation.curve=false"),
         (("prior_training.steps=3",), "stage=prior alone reads it"),
@@ -67,6 +70,7 @@ def test_named_with_the_reason(overrides: tuple[str, ...], words: str) -> None:
             "optim.surface.hold=false",
         ),
         ("dataset.occlusion.kind=box", "dataset.occlusion.share=0.4"),
+        ("dataset.occlusion.kind=strip", "dataset.occlusion.share=0", "dataset.occlusion.width=100"),
     ],
 )
 def test_what_does_something_is_not_named(overrides: tuple[str, ...]) -> None:

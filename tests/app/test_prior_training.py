@@ -22,10 +22,13 @@ from occfusion.inpaint.appearance_net import (
     take_planes,
 )
 from occfusion.inpaint.partial import CoarsePictures, Partial, Picture
+from occfusion.prior_training.appearance_batches import Example
 from occfusion.prior_training.appearance_task import VERSION, AppearanceTask, coarse_scenes
+from occfusion.prior_training.example_shard import ExampleShard
 from occfusion.priors.embedded.network_file import save_net
 from occfusion.priors.embedded.silhouette_net import load_silhouette_net
 from occfusion.settings.stages import PriorTrainingSettings
+from peak_memory import PeakMemory
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 TINY = ("stage=prior", "prior_training.widths=[8,16]", "prior_training.depth=1")
@@ -173,3 +176,33 @@ def test_weights_of_another_version_are_refused(tmp_path: Path) -> None:
         load_appearance_net(path)
     save_net(path, net, "appearance", SIZE, card["widths"], card["depth"], card, version=2)
     load_appearance_net(path)
+
+
+def test_examples_pass_through_a_shard_one_by_one(tmp_path: Path) -> None:
+    """A scene's were gathered in memory and copied; read from mapped files, all that was read counted as memory."""
+    count, shape = 24, (len(PLANES), SIZE, SIZE)
+
+    def example(k: int) -> Example:
+        rng = np.random.default_rng(k)
+        return Example(
+            *(rng.integers(0, 256, form, np.uint8) for form in (shape, (3, SIZE, SIZE), (SIZE, SIZE)))
+        )
+
+    shard = ExampleShard(tmp_path / "shard")
+    with PeakMemory() as peak:
+        shard.write((example(k) for k in range(count)), count)
+        read = [int(shard.read(k).truth[0, 0, 0]) for k in range(count)]
+    assert peak.megabytes < 0.4 * count * np.prod(shape) / 1e6, "at most a few of them at a time"
+    assert len(shard) == len(read) == count
+    whole = {name: np.load(tmp_path / "shard" / f"{name}.npy") for name in ("planes", "truth", "mask")}
+    for k in (0, 7, count - 1):
+        for name, rows in whole.items():
+            assert np.array_equal(getattr(shard.read(k), name), getattr(example(k), name))
+            assert np.array_equal(rows[k], getattr(example(k), name))
+    for wrong in (0, 3, 30):
+        with pytest.raises(DataError, match=f"24 examples of {wrong}|0 examples of 0"):
+            shard.write((example(0) for _ in range(24 if wrong else 0)), wrong)
+    shard.write((example(k) for k in range(2)), 2)
+    (tmp_path / "shard" / "truth.npy").write_bytes((tmp_path / "shard" / "truth.npy").read_bytes()[:-9])
+    with pytest.raises(DataError, match="cut short; remove the folder"):
+        shard.read(1)

@@ -10,11 +10,13 @@ from typing import Any
 
 import pytest
 
+from app.conftest import CONF
 from app.test_init import CountingPrior, Make
 from app.test_init import body as body
 from app.test_init import data as data
 from app.test_init import make as make
 from app.test_init import observed_frames as observed_frames
+from occfusion.cli.train import main
 from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.run.folder import RunFolder
 from occfusion.stages.checkpointing import Checkpointing
@@ -57,3 +59,18 @@ def test_with_the_last_frame(make: Make, data: ZjuDataModule, monkeypatch: pytes
         stage.treat(lambda k: data.train_frame(k, truth=False), stage.wanted, progress=False)
     assert stopped.value.exit_code == 143 and stage.wanted == []
     assert make(CountingPrior(), smoothing=0.0).wanted == []
+
+
+def test_ctrl_c_outside_of_training_is_one_plain_message(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """While the data are read, pictures are evaluated or a report is written."""
+
+    def stopped(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("occfusion.run.app.run_in_folder", stopped)
+    assert main(CONF, ["variant=A", f"dataset.root={tmp_path}", f"output_dir={tmp_path / 'run'}"]) == 130
+    said = capsys.readouterr()
+    assert "stopped by SIGINT: the same command continues" in said.err
+    assert "Traceback" not in said.err + said.out

@@ -51,9 +51,15 @@ def test_the_whole_system_starts_with_the_colours_of_the_video(train: Train) -> 
     assert error_of(folder) < 0.05 < 0.15 < error_of(grey)
 
 
-def test_the_paper_starts_grey(train: Train) -> None:
-    folder, _ = train("variant=A", "recipe=paper", *STILL)
-    assert (start_of(folder) == 0.0).all()
+def test_the_paper_starts_grey(train: Train, capsys: pytest.CaptureFixture[str]) -> None:
+    """And another number of Gaussians than was asked for is said."""
+    folder, _ = train("variant=A", "recipe=paper", *STILL, "optim.gaussians=10")
+    start = start_of(folder)
+    assert (start == 0.0).all()
+    assert (
+        f"{len(start)} at the start, though optim.gaussians=10: each vertex has one"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(("count", "wanted"), [(1, 5), (5, 5), (100, 7)])

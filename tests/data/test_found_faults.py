@@ -11,6 +11,7 @@ import pytest
 from data.test_zju import module
 from data.tiny_scene import TinyScene, write_tiny_scene
 from occfusion.errors import DataError
+from occfusion.files import images
 
 
 @pytest.fixture
@@ -54,3 +55,77 @@ def test_held_out_masks_that_show_nobody_are_said(scene: TinyScene) -> None:
     data = module(scene)
     data.validate()
     assert any("no mask of the 2 held-out cameras shows a person" in finding for finding in data.findings)
+
+
+def test_poses_in_reverse_order_are_refused_and_rotations_swapped_are_said(scene: TinyScene) -> None:
+    annots = scene.annots()
+    R = annots["cams"]["R"]
+    R[0], R[1] = R[1], R[0]
+    scene.save_annots(annots)
+    swapped = module(scene, test_frames=[0, 6, 1])
+    swapped.validate()
+    assert any("IoU) in camera Camera_B1; a good fit has 0.8" in finding for finding in swapped.findings)
+    R[0], R[1] = R[1], R[0]
+    scene.save_annots(annots)
+    moved = []
+    for frame, values in enumerate(scene.parameters):  # as if the person walked through the picture
+        pixels = 10 * frame - 25
+        mask = cv2.imread(str(scene.mask(frame)), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(scene.mask(frame)), np.roll(mask, pixels, axis=1))
+        moved.append({**values, "Th": values["Th"] + np.array([[3.0 * pixels / scene.K[0, 0], 0.0, 0.0]])})
+        scene.save_parameters(frame, moved[-1])
+    walking = module(scene, test_cameras=[0], test_frames=[0, 6, 1])
+    walking.validate()
+    assert not walking.findings
+    for frame, values in enumerate(reversed(moved)):
+        scene.save_parameters(frame, values)
+    with pytest.raises(DataError, match=r"misses the person's mask in camera Camera_B1: \d% of the mask"):
+        module(scene, test_cameras=[0], test_frames=[0, 6, 1]).validate()
+
+
+def test_300_shape_components(scene: TinyScene) -> None:
+    """Zeros behind those of the body are left out; others are refused with the name of their file."""
+    more = np.concatenate([scene.parameters[2]["shapes"], np.zeros((1, 290))], axis=1)
+    scene.save_parameters(2, {**scene.parameters[2], "shapes": more})
+    module(scene).validate()
+    more[0, 200] = 0.1
+    scene.save_parameters(2, {**scene.parameters[2], "shapes": more})
+    with pytest.raises(DataError, match=r"frame 2 \(.*2\.npy\), betas: 300 shape components"):
+        module(scene).validate()
+
+
+def test_a_held_out_picture_that_is_cut_short_is_found_before_anything_is_decoded(
+    scene: TinyScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of PNG and of JPEG files, small and large ones: their beginnings are sound, their ends are not."""
+    whole = scene.picture(4, 2).read_bytes()
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
+    jpeg = cv2.imencode(".jpg", noise, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
+    assert len(jpeg) > 4096 > 1000, "larger than what is read of its beginning"
+    decode = images._decode
+    for content in (whole[:-20], whole[: len(whole) // 2], jpeg[:-2], jpeg[:4096]):
+        scene.picture(4, 2).write_bytes(content)
+        with monkeypatch.context() as patch:
+
+            def undecoded(path: Path, *rest: object, **more: object) -> object:
+                assert path != scene.picture(4, 2)
+                return decode(path, *rest, **more)  # type: ignore[arg-type]
+
+            patch.setattr(images, "_decode", undecoded)
+            with pytest.raises(DataError, match=r"B3/000004\.png: the picture is cut short"):
+                module(scene, test_frames=[0, 6, 1]).validate()
+    for content in (whole, jpeg, jpeg + bytes(100), jpeg + bytes(5000)):  # some cameras write behind the end
+        scene.picture(4, 2).write_bytes(content)
+        module(scene, test_frames=[0, 6, 1]).validate()
+
+
+def test_a_held_out_picture_of_a_form_that_is_refused_is_found_before_training(scene: TinyScene) -> None:
+    cv2.imwrite(str(scene.picture(4, 2)), np.zeros((64, 65, 3), np.uint8))
+    with pytest.raises(DataError, match="65 x 64 pixels"):
+        module(scene, test_frames=[0, 6, 1]).validate()
+    scene.picture(4, 2).write_text("garbage")
+    with pytest.raises(DataError, match="neither a PNG nor a JPEG"):
+        module(scene, test_frames=[0, 6, 1]).validate()
+    scene.picture(4, 2).unlink()
+    with pytest.raises(DataError, match=r"000004\.png: file not found"):
+        module(scene, test_frames=[0, 6, 1]).validate()

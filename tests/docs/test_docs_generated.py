@@ -65,6 +65,12 @@ def test_protocols_page(scripts):
     assert text == (DOCS / "reference" / "protocols.md").read_text(encoding="utf-8"), AGAIN
 
 
+def test_faults_page(scripts):
+    assert scripts("fault_page").fault_page() == (DOCS / "reference" / "faults.md").read_text(
+        encoding="utf-8"
+    ), AGAIN
+
+
 def test_table_of_protocols(scripts):
     page = (DOCS / "reference" / "protocols.md").read_text(encoding="utf-8")
     assert scripts("protocol_pages").protocol_table() in page, AGAIN

@@ -88,6 +88,9 @@ def test_a_stage_is_done_when_its_record_and_its_avatar_are_there(tmp_path: Path
     assert not own.has_avatar
     own.record.write_text('{"train_seconds": 1}')
     assert own.has_avatar
+    for garbage in (b"garbage", b"", b"[]", b"{}", b'{"train_seconds": "x"}', b"\x88\xff", b"[" * 100_000):
+        own.record.write_bytes(garbage)
+        assert not own.has_avatar and own.damage == f"{own.record} is damaged"
 
 
 def test_training_seconds_are_read_stage_by_stage(tmp_path: Path) -> None:

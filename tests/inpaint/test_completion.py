@@ -21,6 +21,7 @@ from occfusion.inpaint.completion_net import (
     SIZE,
     SPAN,
     CompletionNet,
+    check_completion_net,
     completion_planes,
     from_signal,
     load_completion_net,
@@ -180,3 +181,20 @@ def test_a_batch_mirrors_pictures_and_targets_alike(tmp_path):
 def test_weights_of_another_prior_are_refused(tmp_path):
     with pytest.raises(DataError, match=r"prior\.completion\.weights"):
         load_completion_net(tmp_path / "none.safetensors")
+
+
+def test_random_numbers_of_a_run_do_not_depend_on_the_one_before_it() -> None:
+    """In a multirun the network was loaded by the first job alone: the second began with other random numbers."""
+    drawn = []
+    for _ in range(2):
+        torch.manual_seed(0)
+        check_completion_net()
+        drawn.append(torch.rand(4))
+    assert torch.equal(*drawn)
+    load_completion_net.cache_clear()
+    torch.manual_seed(0)
+    load_completion_net()
+    first = torch.rand(4)
+    torch.manual_seed(0)
+    load_completion_net()
+    assert torch.equal(first, torch.rand(4))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
+
+from occfusion.cpu.memory import return_memory
 
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
@@ -31,8 +31,7 @@ def extra_memory_mb(call: Callable[[], object], device: torch.device) -> float |
         return (torch.cuda.max_memory_allocated() - before) / 1e6
     if sys.platform != "linux":
         return None
-    gc.collect()
-    _give_back()
+    return_memory()
     try:
         _CLEAR.write_text(_RESET_PEAK, encoding="ascii")
     except OSError:
@@ -40,13 +39,6 @@ def extra_memory_mb(call: Callable[[], object], device: torch.device) -> float |
     before = _status_kb("VmRSS")
     call()
     return (_status_kb("VmHWM") - before) * 1024 / 1e6
-
-
-def _give_back() -> None:
-    """Asks the C library to return freed memory to the system, where it can (glibc)."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
 
 
 def _status_kb(key: str) -> int:

@@ -152,6 +152,8 @@ def read_run(folder: Path) -> RunRecord:
         plan = [{key: d[key] for key in ("part", "used", "reason")} for d in decisions]
     except (TypeError, KeyError) as error:
         raise _damaged(own.plan, f"a decision lacks {error}") from error
+    if own.curve in own.altered_tables():
+        raise _damaged(own.curve, "not as the run left it")
     return RunRecord(folder, config, metrics, _curve(own.curve, metrics["train_seconds"]), plan)
 
 

@@ -13,6 +13,8 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,9 @@ MAX_FILE_BYTES = 512 << 20
 
 _HEAD_BYTES = (4096, 1 << 18)
 """How much is read to find a size: nearly always the first; large EXIF blocks need the second."""
+
+_TAIL_BYTES = 64
+"""How much is read to find the end marker; some cameras write more behind it, then all is read."""
 
 MAX_LABEL = 40
 """Largest value read as a label: parsing sets have 20 (CIHP) to 33 classes."""
@@ -74,6 +79,48 @@ def image_size(path: Path | str) -> tuple[int, int]:
         return mask_array_size(path)
     header = image_header(path)
     return header.width, header.height
+
+
+def sound_size(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> tuple[int, int]:
+    """Returns (width, height) in pixels of a file that can be read, as far as its beginning and its end say.
+
+    Raises:
+        DataError: missing, cut short, too large, or of a form the table above refuses.
+    """
+    path = Path(path)
+    if is_mask_array(path):
+        return mask_array_size(path)
+    header = image_header(path)
+    if not header.complete and _ends(path, header):
+        header = replace(header, complete=True)
+    _refuse(path, header, max_megapixels)
+    return header.width, header.height
+
+
+def _ends(path: Path, header: ImageHeader) -> bool:
+    """Returns whether a file has its end marker, where its beginning did not reach so far."""
+    with path.open("rb") as stream:
+        stream.seek(-min(_TAIL_BYTES, path.stat().st_size), os.SEEK_END)
+        if (b"IEND" if header.format == "png" else b"\xff\xd9") in stream.read():
+            return True
+    return header.format == "jpeg" and parse_header(read_bytes(path, MAX_FILE_BYTES)).complete
+
+
+def _refuse(path: Path, header: ImageHeader, max_megapixels: float) -> None:
+    if header.width * header.height > max_megapixels * 1e6:
+        raise DataError(
+            f"{path}: declares {header.width} x {header.height} pixels, more than {max_megapixels:g} "
+            "megapixels; scale it down first."
+        )
+    if header.orientation != 1:
+        raise DataError(
+            f"{path}: EXIF orientation {header.orientation}; the calibration cannot tell whether it means "
+            "the stored or the turned picture. Turn the pixels and remove the entry."
+        )
+    if header.format == "jpeg" and header.channels == 4:
+        raise DataError(f"{path}: CMYK colours; convert it to RGB.")
+    if not header.complete:
+        raise DataError(f"{path}: the picture is cut short; get the file again.")
 
 
 def read_rgb(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.uint8]:
@@ -187,20 +234,7 @@ def _decode(path: Path, max_megapixels: float, *, as_stored: bool = False) -> ND
         header = parse_header(content)
     except ValueError as error:
         raise DataError(f"{path}: {error}; pictures and masks must be PNG or JPEG files.") from None
-    if header.width * header.height > max_megapixels * 1e6:
-        raise DataError(
-            f"{path}: declares {header.width} x {header.height} pixels, more than {max_megapixels:g} "
-            "megapixels; scale it down first."
-        )
-    if header.orientation != 1:
-        raise DataError(
-            f"{path}: EXIF orientation {header.orientation}; the calibration cannot tell whether it means "
-            "the stored or the turned picture. Turn the pixels and remove the entry."
-        )
-    if header.format == "jpeg" and header.channels == 4:
-        raise DataError(f"{path}: CMYK colours; convert it to RGB.")
-    if not header.complete:
-        raise DataError(f"{path}: the picture is cut short; get the file again.")
+    _refuse(path, header, max_megapixels)
     try:
         if header.format == "png":
             content = essential_png(content, palette=not as_stored)

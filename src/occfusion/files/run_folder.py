@@ -45,6 +45,17 @@ class FrameFolder:
         """Returns where the second picture of a frame lies."""
         return self.path / self.second / f"{frame_name(frame)}.png"
 
+    def altered(self) -> list[Path]:
+        """Returns pictures that are there and not as its manifest has them; the manifest itself where it is damaged."""
+        if not self.manifest.is_file():
+            return []
+        try:
+            records = read_json(self.manifest)["frames"].values()
+            known = {name: value for record in records for name, value in record.get("sha256", {}).items()}
+            return [path for path in changed(self.path, known) if path.is_file()]
+        except (AttributeError, CheckpointError, KeyError, TypeError, ValueError):
+            return [self.manifest]
+
 
 def frame_name(frame: int) -> str:
     """Returns the name of a frame in a run folder: its number, with six digits."""
@@ -305,6 +316,19 @@ class RunFolder:
         avatars = [self.stage(name).avatar for name in STAGES]
         tables = [self.metrics, self.per_image, self.per_camera, self.per_frame]
         return [*avatars, self.point_cloud, *tables, self.motion, self.cameras, self.report]
+
+    @property
+    def measured_in_training(self) -> list[Path]:
+        """Tables that only training could make again."""
+        return [self.curve, self.losses]
+
+    def altered_tables(self) -> list[Path]:
+        """Returns those of `measured_in_training` that are not as the end of the run left them."""
+        try:
+            known = dict(read_json(self.finished)["tables"])
+            return [self.path / name for name in changed(self.path, known)]
+        except (CheckpointError, KeyError, TypeError, ValueError):
+            return []
 
     def check_is_run(self) -> None:
         """Refuses a folder that no run has claimed.

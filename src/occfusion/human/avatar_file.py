@@ -54,7 +54,7 @@ def describe_avatar(avatar: Avatar) -> dict[str, Any]:
         "active_sh_degree": avatar.active_sh_degree,
         "sh_frame": SH_FRAME,
         "key_light": avatar.key_light is not None,
-        "dilation": avatar.dilation,
+        "dilation": float(avatar.dilation),
         "refine_pose": avatar.pose_refiner is not None,
         "pose_spline": _spline_description(avatar.pose_spline),
         "learn_skinning": avatar.skinning_field is not None,

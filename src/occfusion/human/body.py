@@ -64,7 +64,7 @@ class Body(nn.Module):
         self, arrays: BodyArrays, dtype: torch.dtype = torch.float32, cut_betas: bool = False
     ) -> None:
         super().__init__()
-        self._cut_betas = cut_betas
+        self.cut_betas = cut_betas
         self.parents: tuple[int, ...] = tuple(int(parent) for parent in arrays.parents)
         floats = {
             "v_template": arrays.v_template,
@@ -135,7 +135,7 @@ class Body(nn.Module):
             raise DataError(
                 f"betas of shape {list(betas.shape)}: a body takes one vector of shape components"
             )
-        return leading_betas(betas, self.num_betas, "betas", cut=self._cut_betas).to(self.v_template)
+        return leading_betas(betas, self.num_betas, "betas", cut=self.cut_betas).to(self.v_template)
 
     def rotations(self, global_orient: Tensor, body_pose: Tensor) -> Tensor:
         """Returns the rotation of each joint relative to its parent, `[24, 3, 3]`.

@@ -96,5 +96,14 @@ class CompletionNet(nn.Module):
 
 @cache
 def load_completion_net(path: str | Path | None = None) -> tuple[CompletionNet, Card]:
-    """Returns the network, ready to evaluate, and its card; see `load_net`."""
+    """Returns the network, ready to evaluate, and its card; see `load_net`.
+
+    Loaded once a process, and so without drawing random numbers: those of a run must not depend on the one before it.
+    """
+    with torch.random.fork_rng(devices=[]):
+        return check_completion_net(path)
+
+
+def check_completion_net(path: str | Path | None = None) -> tuple[CompletionNet, Card]:
+    """Loads the network, each time anew, to see that it can be; draws the random numbers that making one takes."""
     return load_net(path, COMPLETION, SIZE, CompletionNet, "prior.completion.weights", NETWORK_VERSION)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+from occfusion.data.occlusion import OcclusionSettings, zju_subject
 from occfusion.files.run_folder import STAGES
 from occfusion.plan.make import Plan, reached_sh_degree, refined_sh_degree
 from occfusion.settings.schema import PRIOR_STAGE, Settings
@@ -61,6 +62,9 @@ def _rules(settings: Settings, plan: Plan) -> Iterator[tuple[str, str]]:
     if occlusion.kind == "none":
         for name in SHAPES_OF_OCCLUSION:
             yield f"dataset.occlusion.{name}", "dataset.occlusion.kind=none hides nothing"
+    elif _hides_nothing(occlusion, str(settings.dataset.scene)):
+        for name in SHAPES_OF_OCCLUSION:
+            yield f"dataset.occlusion.{name}", "nothing is hidden: a share, a fraction or a width is 0"
     if not settings.evaluation.perceptual:
         for name in ("perceptual_every", "perceptual_inputs"):
             yield f"evaluation.{name}", "evaluation.perceptual=false"
@@ -68,6 +72,18 @@ def _rules(settings: Settings, plan: Plan) -> Iterator[tuple[str, str]]:
         for name in ("curve_images", "curve_first_second"):
             yield f"evaluation.{name}", "evaluation.curve=false"
     yield "prior_training", f"stage={PRIOR_STAGE} alone reads it"
+
+
+def _hides_nothing(occlusion: OcclusionSettings, scene: str) -> bool:
+    """Returns whether a simulated occlusion has no extent, or no frame."""
+    if occlusion.kind in ("none", "files"):
+        return False
+    if occlusion.until == 0 or (occlusion.until is None and occlusion.fraction == 0):
+        return True
+    if occlusion.kind in ("strip", "moving") and occlusion.width is not None:
+        return occlusion.width == 0
+    has_own_columns = occlusion.kind == "strip" and zju_subject(scene) is not None  # of the paper's table
+    return occlusion.share == 0 and not has_own_columns
 
 
 def _of_stage(

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from occfusion.cpu.memory import return_memory
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import write_json
 from occfusion.files.jsonfile import parse_json
@@ -27,13 +27,13 @@ from occfusion.inpaint.appearance_net import (
 from occfusion.observation.frames import ObservedFrame
 from occfusion.prior_training.appearance_batches import (
     Batch,
-    Example,
     make_batch,
     make_examples,
     region_of,
     unseen_of,
     whole_batch,
 )
+from occfusion.prior_training.example_shard import ExampleShard
 from occfusion.prior_training.task import PriorTask
 from occfusion.priors.embedded.diffusion import posterior_mean
 from occfusion.settings.stages import PriorTrainingSettings
@@ -139,30 +139,29 @@ class AppearanceTask(PriorTask[AppearanceNet]):
         self.seed = seed
         self.made_by = made_by
         self._train = train
-        self._shards: list[tuple[NDArray[np.uint8], ...]] = []
+        self._shards: list[ExampleShard] = []
 
     def prepare(self) -> None:
         """Trains the scenes whose examples are not there, a few minutes each."""
         scenes = coarse_scenes(self.settings.subjects)
         for number, scene in enumerate(scenes):
-            shard = self.folder / scene.scene
+            shard = ExampleShard(self.folder / scene.scene)
             identity = {"version": VERSION, "size": SIZE, "made_by": self.made_by, **asdict(scene)}
-            marker = shard / "shard.json"
+            marker = shard.folder / "shard.json"
             if not (marker.is_file() and parse_json(marker.read_text()) == identity):
-                coarse = self._train(scene, self.folder / "runs" / scene.scene)
-                examples = list(
-                    make_examples(
-                        coarse.avatar, coarse.frames, coarse.observed_frames, coarse.renderer, coarse.complete
-                    )
-                )
-                shard.mkdir(parents=True, exist_ok=True)
-                for name in ("planes", "truth", "mask"):
-                    np.save(shard / f"{name}.npy", np.stack([getattr(example, name) for example in examples]))
+                self._make(scene, shard)
                 write_json(marker, identity)
             print(f"corpus: {number + 1} of {len(scenes)} coarse avatars", flush=True)
-            self._shards.append(
-                tuple(np.load(shard / f"{n}.npy", mmap_mode="r") for n in ("planes", "truth", "mask"))
-            )
+            self._shards.append(shard)
+
+    def _make(self, scene: CoarseScene, shard: ExampleShard) -> None:
+        coarse = self._train(scene, self.folder / "runs" / scene.scene)
+        examples = make_examples(
+            coarse.avatar, coarse.frames, coarse.observed_frames, coarse.renderer, coarse.complete
+        )
+        shard.write(examples, sum(frame.evidence.occluded for frame in coarse.observed_frames))
+        del coarse, examples
+        return_memory()
 
     def make_net(self) -> AppearanceNet:
         """Returns the network, untrained."""
@@ -173,7 +172,7 @@ class AppearanceTask(PriorTask[AppearanceNet]):
         rng = np.random.default_rng([self.seed, 3, step])
         shards = self._shards[VALIDATION_SUBJECTS:] or self._shards
         chosen = [shards[k] for k in rng.integers(len(shards), size=self.settings.batch)]
-        return make_batch([_example(shard, int(rng.integers(len(shard[0])))) for shard in chosen], rng)
+        return make_batch([shard.read(int(rng.integers(len(shard)))) for shard in chosen], rng)
 
     @torch.no_grad()
     def measure(self, net: AppearanceNet, device: torch.device) -> dict[str, float]:
@@ -183,15 +182,16 @@ class AppearanceTask(PriorTask[AppearanceNet]):
         """
         errors, counts = np.zeros(4), np.zeros(4)
         for shard in self._shards[:VALIDATION_SUBJECTS]:
-            places = np.linspace(0, len(shard[0]) - 1, min(VALIDATION_EXAMPLES, len(shard[0]))).astype(int)
+            places = np.linspace(0, len(shard) - 1, min(VALIDATION_EXAMPLES, len(shard))).astype(int)
             for k in places:
-                planes = whole_batch([_example(shard, int(k))]).conditions.to(device)
+                example = shard.read(int(k))
+                planes = whole_batch([example]).conditions.to(device)
                 noise = torch.randn(planes[:, :3].shape, generator=torch.Generator().manual_seed(0)).to(
                     device
                 )
                 found = posterior_mean(lambda x, t, planes=planes: net(x, t, planes), noise)  # type: ignore[misc]
                 coarse = planes[:, COARSE]
-                truth = torch.from_numpy(shard[1][k].astype(np.float32))[None].to(device) / 255.0
+                truth = torch.from_numpy(example.truth.astype(np.float32))[None].to(device) / 255.0
                 pictures = (coarse, coarse + from_signal(found))
                 wrong = [(picture.clamp(0.0, 1.0) - truth).square().mean(dim=1) for picture in pictures]
                 for number, pixels in enumerate((region_of(planes), unseen_of(planes))):
@@ -200,7 +200,3 @@ class AppearanceTask(PriorTask[AppearanceNet]):
                         counts[2 * number + which] += int(pixels.sum())
         known = zip(self.columns, errors, counts, strict=True)
         return {name: float(-10.0 * np.log10(error / count)) for name, error, count in known if count}
-
-
-def _example(shard: tuple[NDArray[np.uint8], ...], k: int) -> Example:
-    return Example(*(np.asarray(part[k]) for part in shard))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from occfusion.files.atomic import write_bytes
-from occfusion.files.run_folder import METRICS, RunFolder, read_json
+from occfusion.files.run_folder import METRICS, STAGES, RunFolder, read_json
 from occfusion.files.table import read_table
 from occfusion.report.drawing import panels, plain_numbers, png
 from occfusion.report.losses import SMOOTHED, plot_losses
@@ -30,7 +31,7 @@ def write_report(folder: RunFolder) -> Path:
     Raises:
         CheckpointError: the folder has no readable figures, which the end of a run writes.
     """
-    metrics, curve, losses = folder.read_metrics(), read_table(folder.curve), read_table(folder.losses)
+    metrics, curve, losses = folder.read_metrics(), _numbers(folder.curve, METRICS), _numbers(folder.losses)
     plan = read_json(folder.plan) if folder.plan.is_file() else None
     environment = read_json(folder.environment) if folder.environment.is_file() else None
     sections = [_head(metrics), _figures(metrics, folder)]
@@ -48,6 +49,28 @@ def write_report(folder: RunFolder) -> Path:
         sections.append(_environment(environment))
     write_bytes(folder.report, ("\n\n".join(s for s in sections if s) + "\n").encode())
     return folder.report
+
+
+def _numbers(path: Path, columns: Sequence[str] = ()) -> list[dict[str, str]]:
+    """Returns the rows of a table of stages, in the order of those; none, which is said, where it is damaged."""
+    try:
+        rows = read_table(path)
+        for row in rows:
+            if None in row or None in row.values():
+                raise ValueError("a row of another length")
+            int(row["step"])
+            if lacking := [column for column in columns if column not in row]:
+                raise ValueError(f"no column {lacking[0]}")
+            if not all(math.isfinite(float(value)) for key, value in row.items() if key != "stage" and value):
+                raise ValueError("a figure that is not finite")
+            if row["stage"] not in STAGES:
+                raise ValueError(f"no stage {row['stage']!r}")
+    except (KeyError, TypeError, ValueError) as error:
+        print(f"{path} is damaged, and left out of the report ({error})")
+        return []
+    return sorted(
+        rows, key=lambda row: STAGES.index(row["stage"])
+    )  # one that was made again stands behind later ones
 
 
 def plot_error_vs_time(

@@ -6,7 +6,7 @@ import hashlib
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -205,15 +205,17 @@ def identify(settings: Settings) -> Identity:
 
 def record_finished(folder: RunFolder, identity: Identity, data_hash: str) -> None:
     """Writes down what a run folder's results belong to; the last thing that a run does."""
-    files = digests(folder.path, folder.results)
-    write_json(
-        folder.finished,
-        {"identity": identity.asked, "data": data_hash, "source": identity.source, "sha256": files},
-    )
+    files, tables = digests(folder.path, folder.results), digests(folder.path, folder.measured_in_training)
+    record = {"identity": identity.asked, "data": data_hash, "source": identity.source}
+    write_json(folder.finished, record | {"sha256": files, "tables": tables})
 
 
 def finished_in(folder: RunFolder, identity: Identity, data_hash: str) -> dict[str, Any] | None:
-    """Returns the figures of the same settings, data and evaluation in a folder, or None."""
+    """Returns the figures of the same settings, data and evaluation in a folder, or None.
+
+    Tables of an earlier end that are damaged are put aside, and said: the folder must be kept to this process.
+    """
+    _set_aside(folder.altered_tables())
     record = _read(folder.finished)
     is_same = record.get("identity") == identity.asked and record.get("data") == data_hash
     return _figures(folder) if identity.is_reusable and is_same else None
@@ -233,7 +235,8 @@ def find_finished(settings: Settings, *, chosen_by_user: bool) -> tuple[Path, di
             return None
         record = _read(folder.finished)
         if record.get("identity") == identity.asked:
-            figures = _figures(folder) if record.get("source") == identity.source else None
+            is_whole = record.get("source") == identity.source and not folder.altered_tables()
+            figures = _figures(folder) if is_whole else None
             return None if figures is None else (folder.path, figures)
     return None
 
@@ -275,11 +278,22 @@ def _figures(folder: RunFolder) -> dict[str, Any] | None:
         gone = changed(folder.path, dict(_read(folder.finished).get("sha256", {})))
     except (TypeError, ValueError):
         gone = [folder.finished]
+    gone += [*folder.masks.altered(), *folder.inpainted.altered()]  # a finished run may be without them
     if gone:
         print(f"{gone[0]} is missing, or not as the run left it; what it needs is made again")
         return None
     metrics = _read(folder.metrics)
     return metrics if "regions" in metrics else None
+
+
+def _set_aside(tables: Sequence[Path]) -> None:
+    for path in tables:
+        said = f"{path} is missing, or not as the run left it; only training could make it again"
+        if path.is_file():
+            aside = path.with_name(f"{path.name}.damaged")
+            path.replace(aside)
+            said += f". It lies in {aside.name} now, and the report goes without it"
+        print(said)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from occfusion.cpu.processes import is_helper
 from occfusion.data.sampling import spread
 from occfusion.files.run_folder import RunFolder
 from occfusion.files.sharing import shared_folder, take_or_make
+from occfusion.files.table import read_table, write_table
 from occfusion.human import Avatar, load_avatar, write_gaussians_ply
 from occfusion.inpaint.accumulation import accumulate, paint_observed
 from occfusion.priors.build_prior import make_score_prior
@@ -127,7 +128,17 @@ def start_as_observed(avatar: Avatar, training: AvatarTraining) -> float:
 
 
 def _copy_tables(source: RunFolder, target: RunFolder) -> None:
-    """Copies what a stage leaves in the run folder besides its own folder; that is shared with its result."""
+    """Copies what a stage leaves in the run folder besides its own folder; rows of later stages stay there."""
     for table, place in ((source.curve, target.curve), (source.losses, target.losses)):
-        if table.is_file():
+        if not table.is_file():
+            continue
+        try:
+            own = [row for row in read_table(place) if row["stage"] != "optim"]
+        except (KeyError, ValueError):  # damaged: nothing in it is known to be a row
+            own = []
+        if not own:
             shutil.copyfile(table, place)
+            continue
+        rows = read_table(table)
+        columns = dict.fromkeys(name for row in (*own, *rows) for name in row)  # of all stages, as they stood
+        write_table(place, list(columns), [*rows, *own])

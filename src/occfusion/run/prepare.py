@@ -20,7 +20,7 @@ from occfusion.human.coverage import BodyCoverage, cover_body, sighting_of
 from occfusion.human.observability import ObservedSurface, observe_surface
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
-from occfusion.inpaint.completion_net import load_completion_net
+from occfusion.inpaint.completion_net import check_completion_net
 from occfusion.observation.frames import ObservedFrame, observe_frames
 from occfusion.observation.key_light import KeyLight, find_key_light
 from occfusion.observation.pose_alignment import Alignment, align_poses, aligned_pose
@@ -269,7 +269,7 @@ def decide(settings: Settings, observed: Observed) -> Plan:
     )
     planned = plan.settings
     if {"optim", "refine"} & set(plan.stages) and planned.optim.unseen_colors == "prior":
-        load_completion_net(planned.prior.completion.weights)  # small: loaded to see that it can be
+        check_completion_net(planned.prior.completion.weights)  # small: loaded to see that it can be
     if "optim" in plan.stages and planned.optim.sds.is_used:
         check_score_prior(asdict(planned.prior))
     if "refine" in plan.stages and planned.refine.references.source == "prior" and plan.inpaints:

@@ -43,13 +43,15 @@ class Refinement:
         training = self.training
         settings, folder, renderer = training.planned, training.folder, training.renderer
         own, refine = folder.stage("refine"), settings.refine
+        coarse = hashlib.sha256(folder.stage("optim").avatar.read_bytes()).hexdigest()[:16]
+        identity = {"data": training.data_hash, "avatar": coarse}
         if own.has_avatar:
+            if folder.inpainted.altered():
+                make_references(training, avatar, identity)
             print(f"refine: finished before, taken from {own.path}")
             return load_avatar(own.avatar, avatar.body)
         tell_damage(own)
         training.warm_up("refine")
-        coarse = hashlib.sha256(folder.stage("optim").avatar.read_bytes()).hexdigest()[:16]
-        identity = {"data": training.data_hash, "avatar": coarse}
         references, seconds = make_references(training, avatar, identity)
         is_held = refine.hidden.target == "outline" and refine.hidden.effective_weight > 0
         outlines = self._outlines(avatar) if is_held else {}

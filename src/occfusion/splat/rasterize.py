@@ -8,6 +8,7 @@ from torch import Tensor
 from occfusion.errors import ConfigError
 from occfusion.splat.backends.registry import render_with, resolve_backend
 from occfusion.splat.limits import DEFAULT_LIMITS, NEAR, Limits
+from occfusion.splat.once import refuse_transforms
 from occfusion.splat.request import Request, check_request, read_intrinsics
 from occfusion.splat.values import check_values
 from occfusion.types import Box, Rendering
@@ -62,10 +63,12 @@ def rasterize(
         limits: the cut-offs of the image formation.
 
     Raises:
-        ConfigError: wrong shape, dtype or device, singular `K`, unknown or unsuitable backend.
+        ConfigError: wrong shape, dtype or device, singular `K`, unknown or unsuitable backend; called within
+            `torch.func`, or a gradient of its gradient is asked for.
         NumericsError: an input holds NaN, infinity, or what cannot be: an opacity outside 0..1, a camera that is not
             rigid, a covariance that is not one.
     """
+    refuse_transforms()
     needed = {"means": means, "opacities": opacities, "colors": colors, "viewmat": viewmat, "K": K}
     for name, tensor in needed.items():
         if not isinstance(tensor, Tensor):

@@ -131,7 +131,6 @@ class AvatarStage(Stage):
         terms = self.terms(frame, rendering, box)
         if self.surface is not None:
             terms = {**terms, **self.surface.terms(self.avatar, self.global_step)}
-        check_finite_terms(terms, self.name, self.global_step, frame.name)
         # a frame may have no term at all; backward can be called of this
         weighted = [self.weight(name) * value for name, value in terms.items()] or [
             0.0 * rendering.alpha.sum()
@@ -139,6 +138,7 @@ class AvatarStage(Stage):
         total = weighted[0]
         for value in weighted[1:]:
             total = total + value
+        check_finite_terms(terms, self.name, self.global_step, frame.name, total)
         self.keep_terms(terms, total)
         return total
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import lightning as L
@@ -55,16 +56,35 @@ class Stage(L.LightningModule):
         return {name: float(value) for name, value in self._terms.items()}
 
 
-def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame: str) -> None:
-    """Raises NumericsError naming the first loss term that is not finite."""
-    if _is_finite([value.detach() for value in terms.values()]):
+def check_finite_terms(
+    terms: Mapping[str, Tensor], stage: str, step: int, frame: str, total: Tensor | None = None
+) -> None:
+    """Looks at the loss terms of a step before anything is made of them.
+
+    Args:
+        terms: unweighted.
+        stage: for the message, as `step` and `frame`.
+        step: that is under way.
+        frame: that it sees.
+        total: their weighted sum, which is finite only if all of them are; None: each is looked at.
+
+    Raises:
+        NumericsError: naming the first loss term that is not finite, or the sum where it alone is not.
+    """
+    if total is not None and math.isfinite(total.detach()):
         return
+    where = f"stage {stage}, step {step}, frame {frame}"
     for name, value in terms.items():
-        if not bool(torch.isfinite(value)):
+        if not math.isfinite(value.detach()):
             raise NumericsError(
-                f"stage {stage}, step {step}, frame {frame}: the loss term `{name}` is {float(value.detach())}. "
+                f"{where}: the loss term `{name}` is {float(value.detach())}. "
                 f"The state before this step is saved; try smaller learning rates, or look at that frame's data"
             )
+    if total is not None:
+        raise NumericsError(
+            f"{where}: the weighted sum of the loss terms is {float(total.detach())}, and each of them is finite. "
+            f"The state before this step is saved; choose smaller weights"
+        )
 
 
 def check_finite_gradients(groups: Iterable[Mapping[str, Any]], stage: str, step: int, frame: str) -> None:
@@ -75,8 +95,9 @@ def check_finite_gradients(groups: Iterable[Mapping[str, Any]], stage: str, step
         for parameter in group["params"]
         if parameter.grad is not None
     ]
-    # a sum is finite only if all its parts are, and costs a fraction of testing each
-    if _is_finite([gradient.sum() for _, gradient in named]):
+    # a sum is finite only if all its parts are, and costs a fraction of testing each, or of a norm; the device is
+    # asked once, since each question waits for it
+    if not named or math.isfinite(torch.stack([gradient.sum() for _, gradient in named]).sum()):
         return
     for name, gradient in named:
         if not bool(torch.isfinite(gradient).all()):
@@ -84,8 +105,3 @@ def check_finite_gradients(groups: Iterable[Mapping[str, Any]], stage: str, step
                 f"stage {stage}, step {step}, frame {frame}: the gradient of `{name}` is not finite. "
                 f"The state before this step is saved"
             )
-
-
-def _is_finite(values: Sequence[Tensor]) -> bool:
-    """Returns whether single numbers are all finite, asking once: each question waits for the device."""
-    return not values or bool(torch.isfinite(torch.stack([*values]).sum()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +47,12 @@ def keep_step(path: Path, frame: Frame, stage: str, step: int, why: str) -> None
         np.savez_compressed(stream, **content)
 
 
+PATIENCE = 45.0
+"""Seconds after which a step is saved though it is not its turn: a killed process loses less than a minute."""
+
+
 class Checkpointing(L.Callback):
-    """Saves the trainer's state every `every` steps, at the end, and when an exception ends the run.
+    """Saves the trainer's state every `every` steps, where those take long, at the end, and when an exception ends it.
 
     The file is written beside its place and renamed, so an interrupted write leaves the previous one whole. That one
     stays beside it, for where a disk damages the newest.
@@ -57,6 +62,7 @@ class Checkpointing(L.Callback):
         self.path = path
         self.every = every
         self._saved_step = -1
+        self._saved_at = time.monotonic()
 
     def save(self, trainer: L.Trainer, stage: Stage) -> None:
         """Writes the checkpoint of the step just finished; saving the same step twice does nothing."""
@@ -77,12 +83,17 @@ class Checkpointing(L.Callback):
                     f"{self.path}: cannot be written ({error.strerror or error}); make room, then the same command "
                     "continues from the checkpoint before"
                 ) from error
-        self._saved_step = trainer.global_step
+        self._saved_step, self._saved_at = trainer.global_step, time.monotonic()
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Starts the clock."""
+        self._saved_at = time.monotonic()
 
     def on_train_batch_end(self, trainer: L.Trainer, pl_module: L.LightningModule, *_: Any) -> None:
-        """Saves every `every` steps."""
+        """Saves every `every` steps, and when the last time is long ago, which several processes would not agree on."""
         assert isinstance(pl_module, Stage)
-        if trainer.global_step % self.every == 0 or trainer.should_stop:
+        is_late = trainer.world_size == 1 and time.monotonic() - self._saved_at >= PATIENCE
+        if trainer.global_step % self.every == 0 or trainer.should_stop or is_late:
             self.save(trainer, pl_module)
 
     def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:

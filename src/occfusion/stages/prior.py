@@ -70,7 +70,7 @@ class PriorStage(Stage, Generic[Net]):
         error = (predicted - velocity(clean, noise, t)).square() * batch.weight
         terms = {"v": error.sum() / batch.weight.sum()}
         self.keep_terms(terms, terms["v"])
-        check_finite_terms(terms, self.name, step, "batch")
+        check_finite_terms(terms, self.name, step, "batch", terms["v"])
         return terms["v"]
 
     def configure_optimizers(self) -> torch.optim.AdamW:

@@ -12,7 +12,7 @@ from pathlib import Path
 from occfusion.data.scene import Scene
 from occfusion.data.silhouette import Hidden, Silhouette, read_people
 from occfusion.errors import DataError
-from occfusion.files.images import image_size, read_mask
+from occfusion.files.images import read_mask, sound_size
 
 SCAN_THREADS = 2
 """Masks decode outside the interpreter's lock; more threads than this only help on larger machines."""
@@ -62,16 +62,16 @@ def require_files(scene: Scene, views: Iterable[tuple[int, int]]) -> None:
 
 
 def require_sizes(scene: Scene, views: Iterable[tuple[int, int]], sizes: dict[int, tuple[int, int]]) -> None:
-    """Raises DataError unless pictures and masks of each camera all declare that camera's size.
+    """Raises DataError unless pictures and masks of each camera can be read and declare that camera's size.
 
     Args:
         scene: the reader.
-        views: `(frame, camera)` to look at; only the beginnings of the files are read.
+        views: `(frame, camera)` to look at; only the beginnings and ends of the files are read.
         sizes: (width, height) of each camera.
     """
     for frame, camera in views:
         for path in scene.files(frame, camera).all():
-            if (size := image_size(path)) != sizes[camera]:
+            if (size := sound_size(path)) != sizes[camera]:
                 raise DataError(
                     f"{path}: {size[0]} x {size[1]} pixels, but this camera's pictures have "
                     f"{sizes[camera][0]} x {sizes[camera][1]}; pictures and masks must have one size."

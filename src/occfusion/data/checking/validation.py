@@ -11,10 +11,11 @@ from occfusion.data.checking import checks, overlap, survey
 from occfusion.data.checking.overlap import explain_misfit
 from occfusion.data.posing import Poser
 from occfusion.data.prepare import Prepared
-from occfusion.data.scene import Array, Calibration
+from occfusion.data.scene import Array, Calibration, Scene
 from occfusion.data.silhouette import Silhouette
 from occfusion.data.views import Views
 from occfusion.errors import DataError
+from occfusion.human.body import leading_betas
 
 HEIGHT = (0.5, 3.0)
 """Plausible heights of a person at rest, metres."""
@@ -57,7 +58,7 @@ def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
         where += f" in {scene.files(frame, camera).name}" if scene.zooms else ""
         checks.check_intrinsics(calibration.K, sizes[camera], where)
     for frame in sorted({*prepared.train, *prepared.test}):
-        views.parameters(frame)
+        _check_betas(views.parameters(frame).betas, scene, frame, poser)
     _check_height(poser.rest_vertices(views.parameters(prepared.train[0]).betas), str(scene.root))
     warnings = [*scene.remarks, *([_left_out(prepared)] if prepared.left_out else [])]
     warnings += scene.body_warnings(poser.pose)
@@ -99,6 +100,13 @@ def _left_out(prepared: Prepared) -> str:
     shown = ", ".join(str(frame) for frame in prepared.left_out[:10])
     count = len(prepared.left_out)
     return f"{prepared.scene.root}: {count} training frames show no person and are left out: {shown}"
+
+
+def _check_betas(betas: Array, scene: Scene, frame: int, poser: Poser) -> None:
+    """Refuses what the body would refuse in the middle of the work, there without a file's name."""
+    if not getattr(poser.body, "cut_betas", False):
+        files = ", ".join(path.name for path in scene.evidence(frame))
+        leading_betas(betas, poser.num_betas, f"{scene.root}, frame {frame} ({files}), betas")
 
 
 def _check_height(vertices: Array, where: str) -> None:

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from occfusion.splat.limits import Limits
+from occfusion.splat.once import differentiable_once
 from occfusion.splat.tiles import TileLists, picture_to_tiles, tiles_to_picture
 from occfusion.types import Box
 
@@ -170,6 +171,7 @@ class Blend(torch.autograd.Function):
         return tiles_to_picture(stacked, lists, crop)
 
     @staticmethod
+    @differentiable_once
     def backward(ctx, grad_rgb, grad_alpha, grad_depth):  # type: ignore[no-untyped-def]
         """Returns the gradients of means2d, factors, opacities and features."""
         means2d, factors, opacities, features = ctx.saved_tensors

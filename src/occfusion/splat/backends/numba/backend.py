@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from occfusion.cpu.compilation import run_parts
 from occfusion.errors import ConfigError
@@ -32,6 +31,7 @@ from occfusion.splat.backends.numba.layout import (
 )
 from occfusion.splat.backends.numba.project import project_backward_part, project_part
 from occfusion.splat.limits import FRUSTUM_MARGIN
+from occfusion.splat.once import differentiable_once
 from occfusion.splat.request import Request
 
 Array = np.ndarray
@@ -286,7 +286,7 @@ class _Rasterize(torch.autograd.Function):
         return rgb, alpha, depth, radii
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx, grad_rgb, grad_alpha, grad_depth, _):  # type: ignore[no-untyped-def]
         # reading the saved tensors makes autograd complain about any that was changed in between
         alpha, depth = ctx.saved_tensors[-2:]
