@@ -102,6 +102,46 @@ def test_4d_humans(tmp_path):
     np.testing.assert_allclose(found.betas, 1.5)
 
 
+def vibe_results(count: int = 5) -> dict[int, dict[str, np.ndarray]]:
+    """One person; the camera by `convert_crop_cam_to_orig_img`, VIBE's `lib/utils/demo_utils.py@731c2738`."""
+    rng = np.random.default_rng(0)
+    s, x, y = rng.uniform(0.8, 1.0, count), rng.normal(0, 0.05, count), rng.normal(0, 0.05, count)
+    box = np.column_stack([rng.uniform(280, 360, (count, 2)), np.full((count, 2), 300.0)])
+    wide, high = s * box[:, 2] / SIZE[0], s * box[:, 2] / SIZE[1]
+    orig = [wide, high, (2 * box[:, 0] / SIZE[0] - 1) / wide + x, (2 * box[:, 1] / SIZE[1] - 1) / high + y]
+    person = {
+        "pred_cam": np.column_stack([s, x, y]), "orig_cam": np.column_stack(orig), "verts": np.zeros((count, 7, 3)),
+        "pose": rng.normal(size=(count, 72)), "betas": rng.normal(size=(count, 10)), "joints2d": None, "bboxes": box,
+        "frame_ids": np.arange(count) + 3,
+    }  # fmt: skip
+    return {2: {key: v if v is None else v.astype(np.float32) for key, v in person.items()}}
+
+
+def test_vibe(tmp_path):
+    """`joblib.dump(vibe_results, ... "vibe_output.pkl")`: mkocabas/VIBE `demo.py@1147b97e`. A point at the depth of the
+    body's origin is drawn where the crop's camera draws it in its box."""
+    results = vibe_results()
+    joblib.dump(results, tmp_path / "vibe_output.pkl")
+    found, rows = read(tmp_path / "vibe_output.pkl"), results[2]
+    assert found.tool == "vibe" and list(found.frames) == list(rows["frame_ids"]) and not found.in_world
+    np.testing.assert_array_equal(found.body_pose, rows["pose"][:, 3:])
+    point = np.array([0.3, -0.5, 0.0]) + found.transl
+    ours = point[:, :2] / point[:, 2:] * found.K[0, 0] + found.K[:2, 2]
+    s, x, y = rows["pred_cam"].T
+    theirs = (
+        np.column_stack([s * (0.3 + x), s * (-0.5 + y)]) * rows["bboxes"][:, 2:] / 2 + rows["bboxes"][:, :2]
+    )
+    np.testing.assert_allclose(ours, theirs, atol=1e-3)
+
+
+def test_weak_perspective_of_another_picture_is_refused(tmp_path):
+    results = vibe_results()
+    results[2]["orig_cam"][3, 1] *= 1.5
+    joblib.dump(results, tmp_path / "vibe_output.pkl")
+    with pytest.raises(DataError, match=r"row 3: a metre of .* is the file of this clip"):
+        read(tmp_path / "vibe_output.pkl")
+
+
 def test_easymocap(tmp_path):
     """`write_smpl`: a list of people a frame; zju3dv/EasyMocap `easymocap/mytools/file_utils.py`."""
     for k in range(3):

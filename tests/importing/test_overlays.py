@@ -21,10 +21,16 @@ from occfusion.footage.clip import open_clip, read_clip
 from occfusion.footage.landmarks import KeyPoints
 from occfusion.human import embedded_body
 from occfusion.importing.adopt import adopt, stood
+from occfusion.importing.bodies import read_bodies
 from occfusion.importing.sources import Sources
 
 WIDTH, HEIGHT, FRAMES = 640, 480, 8
-FOCAL = {"4d-humans": 5000 / 256 * WIDTH, "nlf": 0.5 * WIDTH / np.tan(np.radians(27.5)), "wham": 800.0}
+FOCAL = {
+    "4d-humans": 5000 / 256 * WIDTH,
+    "vibe": 5000 / 224 * WIDTH,
+    "nlf": 0.5 * WIDTH / np.tan(np.radians(27.5)),
+    "wham": 800.0,
+}
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +103,16 @@ def tram_file(folder, tool, orient, pose, transl, focal):
     np.save(folder / "hps" / "hps_track_0.npy", content)
     np.save(folder / "camera.npy", {"img_focal": focal, "img_center": np.array([WIDTH / 2, HEIGHT / 2])})
     return folder / "hps" / "hps_track_0.npy"
+
+
+def vibe_file(folder, tool, orient, pose, transl, focal):
+    scale = 2 * focal / transl[:, 2] / np.array([[WIDTH], [HEIGHT]])
+    rows = {
+        "pose": np.concatenate([orient, pose], axis=1), "betas": np.zeros((FRAMES, 10)), "frame_ids": np.arange(FRAMES),
+        "orig_cam": np.column_stack([*scale, transl[:, :2]]),
+    }  # fmt: skip
+    joblib.dump({1: rows}, folder / "vibe_output.pkl")
+    return folder / "vibe_output.pkl"
 
 
 def phalp_file(folder, tool, orient, pose, transl, focal):
@@ -187,9 +203,9 @@ def instantavatar_file(folder, tool, orient, pose, transl, focal):
 
 
 WRITERS = {
-    "gvhmr": smplx_file, "gem": smplx_file, "wham": wham_file, "tram": tram_file, "4d-humans": phalp_file,
-    "prompthmr": prompthmr_file, "nlf": nlf_file, "easymocap": easymocap_file, "smpl": smplcodec_file,
-    "amass": amass_file, "aist": aist_file, "instantavatar": instantavatar_file,
+    "gvhmr": smplx_file, "gem": smplx_file, "wham": wham_file, "vibe": vibe_file, "tram": tram_file,
+    "4d-humans": phalp_file, "prompthmr": prompthmr_file, "nlf": nlf_file, "easymocap": easymocap_file,
+    "smpl": smplcodec_file, "amass": amass_file, "aist": aist_file, "instantavatar": instantavatar_file,
 }  # fmt: skip
 
 
@@ -224,6 +240,20 @@ def landmarks_of(truth, focal: float) -> KeyPoints:
     batch = BodyBatch(embedded_body(), np.zeros(1, dtype=np.int64))
     marks = landmark_places(*batch.transforms(torch.zeros(10), rotations_of(orient, pose), transl)).numpy()
     return KeyPoints(on_screen(marks.astype(np.float64), focal), np.ones((FRAMES, 33)), None, np.ones(FRAMES))
+
+
+def test_weak_perspective_draws_the_body_as_its_tool_does(tmp_path):
+    """VIBE's `WeakPerspectiveCamera` leaves depth out: the long lens is off by depth over distance, about 1 pixel."""
+    focal = FOCAL["vibe"]
+    truth = person(away=4.0 * focal / 700.0)
+    found = read_bodies(
+        vibe_file(tmp_path, "vibe", *truth, focal), None, (WIDTH, HEIGHT), lambda betas: np.zeros(3)
+    )
+    vertices, away = meshes(truth[0], truth[1], np.zeros((FRAMES, 3))), truth[2][:, None, 2:]
+    offset = (vertices[..., :2] + truth[2][:, None, :2]) * focal / away
+    ours = on_screen(meshes(found.global_orient, found.body_pose, found.transl), found.K[0, 0])
+    apart = np.abs(ours - offset - [WIDTH / 2, HEIGHT / 2])
+    assert (apart <= 1.02 * np.abs(vertices[..., 2:] / away * offset) + 1e-3).all() and 0.1 < apart.max() < 2
 
 
 def test_a_camera_that_is_wrong_is_seen(tmp_path):

@@ -55,7 +55,7 @@ def fit_body(
         seconds: time of each frame.
         focal_known: whether the focal length is to stay as it is.
         hidden: where something stands before the person; None where nothing is known.
-        weights: of the terms.
+        weights: of the terms; None for what suits the key points, see `solve`.
         seed: of the little chance there is.
         advance: called at each step with the stage's name.
 

@@ -6,6 +6,7 @@
 | `gem` | `smpl_params.pt` | NVlabs/GENMO `demo_smpl*.py` (2026-05) |
 | `wham` | `wham_output.pkl`, joblib | yohanshin/WHAM `demo.py` (2024-04) |
 | `tram` | `hps_track_0.npy`, pickled | yufu-wang/tram `lib/models/hmr_vimo.py` (2025-06) |
+| `vibe` | `vibe_output.pkl`, joblib | mkocabas/VIBE `demo.py@1147b97e`, weak perspective: `lib/utils/renderer.py` |
 | `4d-humans` | `results/demo_V.pkl`, joblib | brjathu/PHALP `phalp/trackers/PHALP.py` (2026-02) |
 | `prompthmr` | `results.pkl`, joblib | yufu-wang/PromptHMR `pipeline/pipeline.py`, `pipeline/phmr_vid.py` (2025-10) |
 | `nlf` | `V_smoothfits.pkl`, pickled | isarandi/nlf-pipeline `src/nlf_pipeline/run_smoothed_smplfitter.py` |
@@ -30,9 +31,9 @@ from numpy.typing import NDArray
 from occfusion.data.checking import checks
 from occfusion.data.video.pose_table import read_motion
 from occfusion.errors import ConfigError, DataError
-from occfusion.files.arrays import load_npy, load_npz
-from occfusion.files.joblibfile import load_joblib
-from occfusion.files.jsonfile import parse_json
+from occfusion.files.arrays import load_npy
+from occfusion.importing.body_files import load_file
+from occfusion.importing.weak_perspective import LONG_LENS, centred, places
 
 _SMPLX = "its body is SMPL-X: pose and place are taken, and the shape's numbers mean something else to SMPL."
 _NLF_FIELD = 55
@@ -87,7 +88,7 @@ def read_bodies(
     """
     if tool is not None and tool not in TOOLS:
         raise ConfigError(f"--from {tool}: known are {', '.join(TOOLS)}.")
-    content = _load(path, tool)
+    content = load_file(path, tool)
     name = tool or _recognised(content, path)
     found = TOOLS[name](content, path, size, pelvis, person)
     for key in ("betas", "global_orient", "body_pose", "transl"):
@@ -97,29 +98,6 @@ def read_bodies(
     if not len(found.frames):
         raise DataError(f"{path}: holds nobody.")
     return found
-
-
-def _load(path: Path, tool: str | None) -> Any:
-    if not path.exists():
-        raise DataError(f"{path}: file not found.")
-    if path.is_dir():
-        return {"easymocap": _json_rows(path)}
-    suffix = path.suffix.lower()
-    if suffix == ".pt":
-        try:
-            return torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:  # torch raises anything; nothing of the file was run
-            raise DataError(
-                f"{path}: cannot be read as tensors alone ({type(error).__name__}); nothing was executed. Save plain "
-                "tensors with torch.save, or convert it where it is trusted."
-            ) from error
-    if suffix == ".npy":
-        return load_npy(path)
-    if suffix == ".smpl":
-        return load_npz(path)
-    if tool == "motion" or suffix == ".npz":
-        return None
-    return load_joblib(path)
 
 
 def _recognised(content: Any, path: Path) -> str:
@@ -143,6 +121,8 @@ def _recognised(content: Any, path: Path) -> str:
         first = next(iter(content.values()), None)
         if isinstance(first, Mapping) and {"pose", "trans", "betas"} <= set(first):
             return "wham"
+        if isinstance(first, Mapping) and {"pose", "orig_cam", "betas"} <= set(first):
+            return "vibe"
         if isinstance(first, Mapping) and {"smpl", "camera"} <= set(first):
             return "4d-humans"
     if (
@@ -168,8 +148,7 @@ def _numbers(table: Mapping[Any, Any], key: str, width: int, where: str) -> Floa
 
 def _diagonal(size: tuple[int, int]) -> Floats:
     """The camera that GVHMR and WHAM suppose: a focal length of the picture's diagonal."""
-    focal = math.hypot(*size)
-    return np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
+    return centred(math.hypot(*size), size)
 
 
 def _shape(rows: Floats) -> Floats:
@@ -211,6 +190,17 @@ def _wham(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, perso
     )  # fmt: skip
 
 
+def _vibe(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+    rows = _person({k: v for k, v in content.items() if isinstance(v, Mapping)}, "frame_ids", path, person)
+    where = str(path)
+    poses = _numbers(rows, "pose", 72, where)
+    K, transl = places(_numbers(rows, "orig_cam", 4, where), size, where)
+    return Found(
+        "vibe", _numbers(rows, "frame_ids", 1, where)[:, 0].astype(np.int64),
+        _shape(_numbers(rows, "betas", 10, where)), poses[:, :3], poses[:, 3:], transl, K, (LONG_LENS,),
+    )  # fmt: skip
+
+
 def _tram(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
     where = str(path)
     rotations = _numbers(content, "pred_rotmat", 24 * 9, where).reshape(-1, 24, 3, 3)
@@ -236,8 +226,7 @@ def _phalp(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, pers
             rows.setdefault(int(tid), []).append((number, frame["smpl"][k], frame["camera"][k]))
     kept = _person({tid: {"frames": seen} for tid, seen in rows.items()}, "frames", path, person)["frames"]
     # PHALP lays the picture into a square of its longer side and supposes 5000 px of focal length at 256 px
-    focal = 5000.0 / 256.0 * max(size)
-    K = np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
+    K = centred(5000.0 / 256.0 * max(size), size)
     rotations = np.stack(
         [
             np.concatenate(
@@ -252,7 +241,7 @@ def _phalp(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, pers
         _shape(np.stack([np.reshape(s["betas"], 10) for _, s, _ in kept]).astype(np.float64)),
         poses[:, 0], poses[:, 1:].reshape(-1, 69),
         np.stack([np.reshape(c, 3) for _, _, c in kept]).astype(np.float64), K,
-        ("its camera supposes a very long lens, so that the person stands far away.",),
+        (LONG_LENS,),
     )  # fmt: skip
 
 
@@ -363,24 +352,11 @@ def _vectors(rotations: Floats) -> Floats:
     return np.asarray(Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec().reshape(*shape, 3))
 
 
-def _json_rows(folder: Path) -> list[tuple[int, list[Any]]]:
-    files = sorted(folder.glob("*.json"))
-    if not files:
-        raise DataError(f"{folder}: holds no .json files.")
-    rows = []
-    for file in files:
-        try:
-            content = parse_json(file.read_text(encoding="utf-8"))
-            rows.append((int(file.stem), content["annots"] if isinstance(content, dict) else content))
-        except (ValueError, KeyError, UnicodeDecodeError) as error:
-            raise DataError(f"{file}: is no list of people as EasyMocap writes it ({error}).") from error
-    return rows
-
-
 TOOLS: dict[str, Callable[[Any, Path, tuple[int, int], Pelvis, int | None], Found]] = {
     "gvhmr": _in_camera("smpl_params_incam"),
     "gem": _in_camera("body_params_incam"),
     "wham": _wham,
+    "vibe": _vibe,
     "tram": _tram,
     "4d-humans": _phalp,
     "prompthmr": _prompthmr,

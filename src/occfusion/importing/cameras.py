@@ -51,7 +51,10 @@ def read_intrinsics(path: Path, shot: Shot) -> tuple[Intrinsics, list[str]]:
     elif suffix == ".json":
         K, size, lens = _json(path)
     else:
-        raise DataError(f"{path}: cameras are read from .npz, .json and COLMAP's cameras.txt.")
+        raise DataError(
+            f"{path}: cameras are read from .npz, .json and COLMAP's cameras.txt. One of weak perspective has no focal "
+            "length: give it with the bodies that it draws (--from vibe, --from 4d-humans)."
+        )
     scale = np.full(2, shot.scale)
     if size is not None:
         scale = np.array(shot.size) / np.array(size)
