@@ -20,7 +20,7 @@ demo: install
 	$(VENV)/bin/python train.py
 
 test: install
-	$(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal $(PYTEST_ARGS)
+	$(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal --durations=20 --durations-min=10 $(PYTEST_ARGS)
 
 lint: install
 	$(VENV)/bin/python -m ruff check .

@@ -144,7 +144,7 @@ STUDIES = {
     "ablation": Study(
         "# What each stage brings, with both recipes", 128, ("scene", "recipe", "variant"), variants,
         lambda row: (level(row), f"`{row['recipe']}`", f"`{row['variant']}`"),
-        ("poses", "recipe", "variant"), FULL | HIDDEN | SECONDS,
+        ("poses", "recipe", "variant"), FULL | HIDDEN,
     ),
     "turning": Study(
         "# A person who does not turn, beside the same person turning", 256, ("scene",), turning,
@@ -216,6 +216,7 @@ def page(study: Study, rows: Sequence[dict[str, str]]) -> str:
     for group, own in groups.items():
         values = {key: [float(row[key]) for row in own if row[key]] for key in (*FIGURES, "seconds")}
         means = {key: fmean(some) if some else float("nan") for key, some in values.items()}
+        means |= {key: 1000.0 * mean for key, mean in means.items() if key.endswith("lpips")}
         cells = (cell.format(**means) for cell in study.cells.values())
         lines.append(f"| {' | '.join((*group, *cells, str(len(own))))} |")
     return "\n".join(lines)

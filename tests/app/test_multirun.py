@@ -16,7 +16,8 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS":
 COMMAND = [
     str(ROOT / "train.py"), "-m", "optim.steps=2", "dataset=zju", "body=anny",
     "optim.lambda_lpips=0", "evaluation.perceptual=false", "evaluation.curve_images=1",
-    "trainer.enable_progress_bar=false", "hydra.sweep.dir=sweep", "optim.align_poses=false",
+    "trainer.enable_progress_bar=false", "optim.align_poses=false", "optim.unseen_colors=nearest",
+    "hydra.sweep.dir=sweep",
 ]  # fmt: skip
 NO_WEIGHTS = "prior.inpaint.weights=nowhere.safetensors"
 """Makes the jobs of variant E fail, and no others."""

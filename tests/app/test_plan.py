@@ -13,6 +13,7 @@ from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import HIDDEN_SHARE, Evidence
 from occfusion.observation.frames import ObservedFrame, PosedBody
 from occfusion.observation.key_light import KeyLight
+from occfusion.observation.pose_alignment import Alignment
 from occfusion.plan import make as planning
 from occfusion.plan.decisions import box_reason, with_everything
 from occfusion.settings.schema import Settings, optim_hash
@@ -44,6 +45,13 @@ def made(settings: Settings, observed_frames: list[ObservedFrame] | None) -> pla
 
 def used(settings: Settings, observed_frames: list[ObservedFrame] | None) -> dict[str, bool]:
     return {d.part: d.used for d in made(settings, observed_frames).decisions}
+
+
+def alignment_of(amount: float) -> Alignment:
+    nothing, places, spreads = np.zeros((4, 24, 3)), np.zeros((4, 3)), {"root": 0.01, "place": 0.01}
+    return Alignment(
+        nothing, places, spreads, amount, 0.3, nothing, 0.0, 4.0, np.zeros(3), np.ones(3), 0.2, 0.8
+    )
 
 
 def as_planned(settings: Settings, observed_frames: list[ObservedFrame] | None) -> Settings:
@@ -217,6 +225,12 @@ def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
     halves = [f"{stage}.hidden.target=complete" for stage in ("optim", "refine")]
     weighed = settings_of(*halves, "refine.hidden.weight=0.5", "optim.hidden.weight=0.25")
     assert as_planned(weighed, occluded).optim.hidden.weight == 0.25
+    for amount, target, weights in ((0.75, "outline", (0.2, 0.1)), (0.0, "none", (0.0, 0.0))):
+        aligned = planning.make_plan(
+            settings_of(), SUMMARY, "torch", mended, alignment=alignment_of(amount)
+        ).settings
+        assert (aligned.optim.hidden.weight, aligned.refine.hidden.weight) == weights
+        assert aligned.refine.hidden.target == target
     assert not used(settings_of("variant=B"), frames(*[0.0] * 12))["full mask term on hidden pixels"]
 
 

@@ -247,18 +247,18 @@ FITTING_WEIGHT = 0.2
 
 
 def hidden_policies(
-    settings: Settings, observed_frames: Sequence[ObservedFrame] | None
+    settings: Settings, observed_frames: Sequence[ObservedFrame] | None, alignment: Alignment | None = None
 ) -> tuple[HiddenSettings, HiddenSettings]:
     """Returns what hidden pixels are held to in the optimisation and in the refinement, target and weight decided.
 
     What `auto` means: with `plan=full` complete masks in full, as in the paper. Else complete masks count for little
-    where other frames tell better: by `FITTING_WEIGHT` where poses fit as given, from which these masks are made, and
-    for nothing where they are mended. The refinement holds what is hidden to the avatar's own outline instead, where
-    no poses are mended, which move it. The optimisation counts masks as a refinement that follows would, and fully
-    where none does.
+    where other frames tell better: by `FITTING_WEIGHT` where poses fit as given or were aligned, from which these
+    masks are made, and for nothing where they are mended. The refinement holds what is hidden to the avatar's own
+    outline instead, where no poses are mended much, which move it. The optimisation counts masks as a refinement that
+    follows would, and fully where none does (docs/experiments/033-refinement-after-alignment.md).
     """
     optim, refine = settings.optim.hidden, settings.refine.hidden
-    full, fits = HiddenSettings("complete", 1.0), poses_fit(observed_frames)
+    full, fits = HiddenSettings("complete", 1.0), poses_fit(observed_frames) or _is_taken(alignment)
     doubted = HiddenSettings("complete", FITTING_WEIGHT) if fits else HiddenSettings("none", 0.0)
     if optim.target == "auto":
         chosen = refine if refine.target in ("complete", "none") else doubted
@@ -269,8 +269,16 @@ def hidden_policies(
     return tuple(replace(each, weight=each.effective_weight) for each in (optim, refine))  # type: ignore[return-value]
 
 
+def _is_taken(alignment: Alignment | None) -> bool:
+    return alignment is not None and alignment.is_taken
+
+
 def hidden_mask_decision(
-    stage: str, settings: Settings, hidden: HiddenSettings, observed_frames: Sequence[ObservedFrame] | None
+    stage: str,
+    settings: Settings,
+    hidden: HiddenSettings,
+    observed_frames: Sequence[ObservedFrame] | None,
+    alignment: Alignment | None = None,
 ) -> Decision:
     """Returns whether the mask term counts fully on hidden pixels: what is there, other frames may tell better.
 
@@ -279,6 +287,7 @@ def hidden_mask_decision(
         settings: as the user asked.
         hidden: of the stage, as `hidden_policies` decided.
         observed_frames: of the training frames.
+        alignment: what outlines say of the poses; None where they tell too little or were not asked.
     """
     weight, asked = hidden.effective_weight, getattr(settings, stage).hidden.target
     part = "full mask term on hidden pixels" + ("" if stage == "optim" else f" in {stage}")
@@ -287,7 +296,8 @@ def hidden_mask_decision(
     reason = f"{stage}.hidden.target = {asked}; " if asked != "auto" else ""
     fits = poses_fit(observed_frames)
     if hidden.target == "outline":
-        why = "poses fit as given: " if asked == "auto" else ""
+        found = "poses are aligned: " if _is_taken(alignment) else "poses fit as given: "
+        why = found if asked == "auto" else ""
         reason += f"{why}the avatar's own outline takes the place of complete masks, weight {weight:g}"
         return Decision(part, False, reason)
     reason += f"it counts {weight:g} there"

@@ -126,7 +126,7 @@ def make_plan(
     )  # fmt: skip
     is_refined = "refine" in running
     inpainting = inpainting_decision(settings, observed_frames)
-    hidden = hidden_policies(settings, observed_frames)
+    hidden = hidden_policies(settings, observed_frames, alignment)
     is_deferred = is_perceptual_term_deferred(settings)
     distillation = sds_decisions(settings, observed_frames)
     networks = network_decisions(settings, observed_frames, alignment)
@@ -145,7 +145,7 @@ def make_plan(
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
     plan += _term_decisions("optim", optim, ("rgb", "mask", "ssim"))
-    plan.append(hidden_mask_decision("optim", settings, hidden[0], observed_frames))
+    plan.append(hidden_mask_decision("optim", settings, hidden[0], observed_frames, alignment))
     if is_deferred:
         reason = f"optim.lambda_lpips = {optim.lambda_lpips:g}; the refinement that follows has it, and ends the same"
         plan.append(Decision("loss term lpips", False, reason))
@@ -163,7 +163,7 @@ def make_plan(
     plan += [completed, closed, rounds]
     if is_refined:
         plan += _term_decisions("refine", refine, ("rgb", "mask"))
-        plan.append(hidden_mask_decision("refine", settings, hidden[1], observed_frames))
+        plan.append(hidden_mask_decision("refine", settings, hidden[1], observed_frames, alignment))
         plan.append(generated_decision(settings, observed_frames))
         plan += _term_decisions("refine", refine, ("ssim", "lpips"))
         plan += [refined_closed, refined_rounds]
