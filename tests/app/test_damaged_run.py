@@ -50,12 +50,17 @@ def finished(scene_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     return run_tiny(scene_root, tmp_path_factory.mktemp("finished") / "run", *OPTIONS)[0]
 
 
+@pytest.fixture
+def folder(finished: Path, tmp_path: Path) -> RunFolder:
+    """A copy of the finished run, with what it shares with others."""
+    shutil.copytree(finished.parent, tmp_path, dirs_exist_ok=True)
+    return RunFolder(tmp_path / "run")
+
+
 @pytest.mark.slow
 def test_whatever_is_damaged_is_made_again_and_said(
-    scene_root: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene_root: Path, finished: Path, folder: RunFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = RunFolder(tmp_path / "run")
-    shutil.copytree(finished.parent, tmp_path, dirs_exist_ok=True)
     whole = {name: load_file(finished / name / "avatar.safetensors") for name in ("optim", "refine")}
     pictures = {
         path: path.read_bytes()
@@ -87,11 +92,9 @@ def test_whatever_is_damaged_is_made_again_and_said(
 
 @pytest.mark.slow
 def test_a_finished_run_whose_pictures_or_tables_are_damaged_makes_them_again(
-    scene_root: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene_root: Path, folder: RunFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """They were left as they were, and rows of the refinement were lost where the stage before it was taken over."""
-    folder = RunFolder(tmp_path / "run")
-    shutil.copytree(finished.parent, tmp_path, dirs_exist_ok=True)
     inpainted = sorted(folder.inpainted.path.rglob("*.png"))[0]
     pictures = {path: path.read_bytes() for path in (folder.masks.picture(0), inpainted)}
     avatars = {name: folder.stage(name).avatar.read_bytes() for name in ("optim", "refine")}
