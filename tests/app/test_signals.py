@@ -18,6 +18,7 @@ from app.test_init import make as make
 from app.test_init import observed_frames as observed_frames
 from occfusion.cli.train import main
 from occfusion.data.zju.zju_data import ZjuDataModule
+from occfusion.errors import OccfusionError
 from occfusion.run.folder import RunFolder
 from occfusion.stages.checkpointing import Checkpointing
 from occfusion.stages.init import InitStage
@@ -42,6 +43,25 @@ def test_after_the_last_step_of_training(
     left = RunFolder(tmp_path / "run").stage("optim")
     assert left.has_avatar and json.loads(left.record.read_text())["steps"] == 1
     assert not RunFolder(tmp_path / "run").metrics.exists()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_while_the_trainer_prepares_itself(
+    train: Callable[..., tuple[Path, dict[str, Any]]],
+    monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals,
+    code: int,
+) -> None:
+    """Lightning alone would exit with 1 on the first and with 0 on the second."""
+
+    def early(*_: Any, **__: Any) -> None:
+        signal.raise_signal(number)
+
+    monkeypatch.setattr(Checkpointing, "setup", early)
+    before = signal.getsignal(number)
+    with pytest.raises(Interrupted, match="the same command continues") as stopped:
+        train("stage=optim", "optim.steps=9", "evaluation.curve=false", "evaluation.held_out=false")
+    assert stopped.value.exit_code == code and signal.getsignal(number) is before
 
 
 def test_with_the_last_frame(make: Make, data: ZjuDataModule, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,3 +94,23 @@ def test_ctrl_c_outside_of_training_is_one_plain_message(
     said = capsys.readouterr()
     assert "stopped by SIGINT: the same command continues" in said.err
     assert "Traceback" not in said.err + said.out
+
+
+def test_ctrl_c_ends_a_multirun_with_its_own_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Also where a job before it had failed; the job that was stopped says so in the table."""
+    runs = []
+
+    def stopped(*_: Any, **__: Any) -> None:
+        runs.append(1)
+        if len(runs) == 1:
+            raise OccfusionError("no")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("occfusion.run.app.run_in_folder", stopped)
+    words = ["-m", "variant=A,B,C", f"dataset.root={tmp_path}", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    assert main(CONF, words) == 130 and len(runs) == 2
+    text = (tmp_path / "sweep" / "table.md").read_text()
+    assert "2 jobs" in text and "stopped by SIGINT: the same command continues" in text
+    assert "Traceback" not in "".join(capsys.readouterr())

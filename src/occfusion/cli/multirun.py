@@ -81,11 +81,16 @@ class EndTable(Callback):
 
 
 def end_of_broken_multirun(exit_code: int) -> None:
-    """Writes the table of a multirun whose launcher gave up, from the jobs that left a record."""
+    """Writes the table of a multirun whose launcher gave up, from the jobs that left a record.
+
+    Args:
+        exit_code: of the command; one of a signal (above 128) stands whatever became of the jobs.
+    """
     if OUTCOME.sweep is None:
         return
     print("the launcher ended before all jobs had; those that had begun:")
-    OUTCOME.exit_code = write_end_table(OUTCOME.sweep) or exit_code
+    of_jobs = write_end_table(OUTCOME.sweep)
+    OUTCOME.exit_code = exit_code if exit_code > 128 else of_jobs or exit_code
     OUTCOME.sweep = None
 
 

@@ -30,8 +30,9 @@ class Interrupted(OccfusionError):
 class SignalGuard(L.Callback):
     """Notes SIGINT and SIGTERM and asks the trainer to stop after the step under way.
 
-    Used as a context around `Trainer.fit`, it gives the signals back as they were before, whatever the trainer
-    did to them. A second signal of the same kind ends the process at once.
+    Used as a context around `Trainer.fit`, it takes the signals before the trainer prepares itself, for Lightning
+    answers SIGINT by exiting with 1; and it gives them back as they were, whatever the trainer did to them. A second
+    signal of the same kind ends the process at once.
     """
 
     def __init__(self) -> None:
@@ -40,11 +41,16 @@ class SignalGuard(L.Callback):
 
     def __enter__(self) -> SignalGuard:
         self._before = {number: signal.getsignal(number) for number in SIGNALS}
+        self._take()
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
+
+    def _take(self) -> None:
+        for number in SIGNALS:
+            signal.signal(number, self._note)
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
         if self.received == number:
@@ -53,13 +59,12 @@ class SignalGuard(L.Callback):
         self.received = number
 
     def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Takes the two signals over, also from Lightning, which would exit with 0 on SIGTERM."""
-        for number in SIGNALS:
-            signal.signal(number, self._note)
+        """Takes the two signals again, from Lightning, which would exit with 0 on SIGTERM."""
+        self._take()
 
     def on_predict_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Takes the two signals over; the frames that are predicted must end when one has come."""
-        self.on_train_start(trainer, pl_module)
+        """Takes the two signals again; the frames that are predicted must end when one has come."""
+        self._take()
 
     def on_train_batch_end(self, trainer: L.Trainer, *_: Any) -> None:
         """Stops the loop when a signal has come, to any of the processes that train together."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from occfusion.data.cameras import Lens
 from occfusion.data.checking import checks, overlap, survey
 from occfusion.data.checking.inspection import Finding, Inspection, guarded, listed, posed_bodies
-from occfusion.data.checking.overlap import explain_misfit
-from occfusion.data.checking.validation import JOINTS_INSIDE, LOW_OVERLAP, MISSED
+from occfusion.data.checking.overlap import LOW_OVERLAP, explain_misfit, find_exchange
+from occfusion.data.checking.validation import JOINTS_INSIDE, MISSED
 from occfusion.data.outline_offsets import View
 from occfusion.data.registration import register
 from occfusion.data.scene import Array, Calibration
@@ -153,12 +153,22 @@ def inspect_other_cameras(inspection: Inspection) -> list[Finding]:
         if frame is None or not others:
             return
         vertices = inspection.poser.pose(inspection.bodies[frame])[0]
-        bad = []
+        bad, seen = [], []
+        if inspection.camera in inspection.sound and frame in inspection.people:
+            seen.append((inspection.view(frame), inspection.people[frame].whole.full()))
         for index in others:
             person = survey.read_person(inspection.scene, frame, index).whole
-            fit = overlap.mask_overlap(vertices, inspection.sound[index], person.full())[0]
+            seen.append((inspection.sound[index], person.full()))
+            fit = overlap.mask_overlap(vertices, *seen[-1])[0]
             if not person.empty and fit < LOW_OVERLAP:
                 bad.append(inspection.sound[index].name)
+        if exchange := find_exchange([(vertices, seen)]) if bad else "":
+            yield Finding(
+                "error",
+                "other cameras",
+                f"frame {frame}: {exchange}",
+                "exchange them back in the camera file",
+            )
         if bad:
             text = (
                 f"body and mask overlap badly in {len(bad)} of {len(others)} in frame {frame}: {listed(bad)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -14,6 +15,9 @@ from occfusion.data.scene import Array, Calibration
 
 PREVIEW = 128
 """Longer side, in pixels, at which the projected body is compared with the mask."""
+
+LOW_OVERLAP = 0.5
+"""IoU of body and mask below which it is reported: a clothed person has 0.8 to 0.95."""
 
 
 def body_outline(
@@ -113,3 +117,44 @@ def explain_misfit(
         if score > best:
             best, reason = score, name
     return f"it seems that {reason}: undone, the IoU is {best:.2f}" if reason else ""
+
+
+EXCHANGES: dict[str, Callable[[Calibration, Calibration], Calibration]] = {
+    "rotations (R)": lambda own, other: replace(own, R=other.R),
+    "places (T)": lambda own, other: replace(own, t=other.t),
+    "R and T": lambda own, other: replace(own, R=other.R, t=other.t),
+}
+"""What of two cameras may have been exchanged, as what would undo it."""
+
+
+def find_exchange(moments: Sequence[tuple[Array, Sequence[tuple[Calibration, NDArray[np.bool_]]]]]) -> str:
+    """Returns a sentence naming two cameras whose calibrations were exchanged; empty where nothing shows it.
+
+    Both must fit their masks clearly better with what is the other's: then the data prove it.
+
+    Args:
+        moments: of each the body in the world, `[V, 3]`, metres, and the same cameras in the same order, each with the
+            complete person that it saw, `[H, W]`.
+    """
+    shown = range(len(moments[0][1]) if moments else 0)
+
+    def fit(own: int, other: int, taken: Callable[[Calibration, Calibration], Calibration]) -> float:
+        """Returns the mean IoU of a camera with what is taken of another; 0 where it saw nobody."""
+        views = [(body, taken(seen[own][0], seen[other][0]), seen[own][1]) for body, seen in moments]
+        scores = [mask_overlap(*view)[0] for view in views if view[2].any()]
+        return float(np.mean(scores)) if scores else 0.0
+
+    read = [fit(k, k, lambda own, _: own) for k in shown]
+    best, reason = 0.0, ""
+    for one, other in combinations([k for k in shown if 0 < read[k] < 1 - EXPLAINS], 2):
+        for what, taken in EXCHANGES.items():
+            undone = fit(one, other, taken), fit(other, one, taken)
+            gain = min(undone[0] - read[one], undone[1] - read[other])
+            if min(undone) >= LOW_OVERLAP and gain >= EXPLAINS and sum(undone) > best:
+                best, names = sum(undone), [moments[0][1][k][0].name for k in (one, other)]
+                reason = (
+                    f"{what} of cameras {names[0]} and {names[1]} are exchanged: as they are, body and mask have an "
+                    f"IoU of {read[one]:.2f} and {read[other]:.2f}, with each other's {undone[0]:.2f} and "
+                    f"{undone[1]:.2f}"
+                )
+    return reason

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.data.checking import checks, overlap, survey
-from occfusion.data.checking.overlap import explain_misfit
+from occfusion.data.checking.overlap import LOW_OVERLAP, explain_misfit, find_exchange
 from occfusion.data.posing import Poser
 from occfusion.data.prepare import Prepared
 from occfusion.data.scene import Array, Calibration, Scene
@@ -26,11 +26,11 @@ CHECKED_FRAMES = 5
 FULL_MASK, TINY_MASK = 0.9, 0.002
 """Shares of a picture above and below which a person's mask is doubtful."""
 
-LOW_OVERLAP = 0.5
-"""IoU of body and mask below which it is reported: a clothed person has 0.8 to 0.95."""
-
 JOINTS_INSIDE = 0.6
 """Share of the joints inside the mask below which it is reported; embedded people have 0.87 to 1."""
+
+SUSPECT = 0.65
+"""IoU in a held-out camera below which it is tried whether two cameras were exchanged; a second or two of work."""
 
 MISSED = 0.1
 """Mean share of the mask inside the body below which the two cannot belong together."""
@@ -63,7 +63,39 @@ def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
     warnings = [*scene.remarks, *([_left_out(prepared)] if prepared.left_out else [])]
     warnings += scene.body_warnings(poser.pose)
     warnings += mask_warnings(str(scene.root), prepared.train, [person.seen for person in prepared.people])
-    return warnings + _check_projection(prepared, views, poser) + _held_out_warnings(prepared, views, poser)
+    try:
+        doubts = _check_projection(prepared, views, poser)
+    except DataError:
+        _refuse_exchanged_cameras(prepared, views, poser)  # says more, where it is that
+        raise
+    fits = _held_out_fits(prepared, views, poser)
+    held_out = _held_out_warnings(prepared, fits)
+    if doubts or any(fit < SUSPECT for fit in fits.values()):
+        _refuse_exchanged_cameras(prepared, views, poser)
+    return warnings + doubts + held_out
+
+
+def _refuse_exchanged_cameras(prepared: Prepared, views: Views, poser: Poser) -> None:
+    """Looks among all cameras of the scene, for the other one need not be one that the run reads."""
+    scene, moments = prepared.scene, []
+    for frame in [prepared.train[k] for k in _spread(len(prepared.train))]:
+        seen = []
+        for camera in range(len(scene.cameras)):
+            try:
+                person = survey.read_person(scene, frame, camera).whole
+                seen.append((scene.view(frame, camera), person.full()))
+            except DataError:  # a camera that the run does not read; those that it reads were opened before
+                continue
+        moments.append((poser.pose(views.parameters(frame))[0], seen))
+    if len({tuple(camera.name for camera, _ in seen) for _, seen in moments}) > 1:
+        return
+    if found := find_exchange(moments):
+        raise DataError(f"{scene.root}: {found}, mean of {len(moments)} frames. Exchange them back.")
+
+
+def _spread(count: int) -> list[int]:
+    """Returns the positions of a few of so many frames."""
+    return sorted({int(k) for k in np.linspace(0, count - 1, CHECKED_FRAMES).round()})
 
 
 def estimated_shares(prepared: Prepared, views: Views, poser: Poser) -> list[float]:
@@ -120,8 +152,7 @@ def _check_height(vertices: Array, where: str) -> None:
 
 def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
     where, camera = str(prepared.scene.root), prepared.scene.calibration(prepared.camera)
-    chosen = np.linspace(0, len(prepared.train) - 1, CHECKED_FRAMES).round().astype(int)
-    positions = sorted({int(index) for index in chosen})
+    positions = _spread(len(prepared.train))
     people = {prepared.train[k]: prepared.people[k].whole for k in positions}
     posed = {frame: poser.pose(views.parameters(frame)) for frame in people}
     masks = {frame: person.full() for frame, person in people.items()}
@@ -176,9 +207,21 @@ def _explanation(
     return f" {reason[0].upper()}{reason[1:]}." if reason else ""
 
 
-def _held_out_warnings(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
-    """Returns one sentence naming the held-out cameras whose mask the body misses in the first test frame."""
-    frame = prepared.test[0]
+def _held_out_fits(prepared: Prepared, views: Views, poser: Poser) -> dict[str, float]:
+    """Returns the IoU of body and mask in the first test frame by the names of held-out cameras that show a person."""
+    vertices, _ = poser.pose(views.parameters(prepared.test[0]))
+    fits = {}
+    for index in prepared.cameras:
+        person = survey.read_person(prepared.scene, prepared.test[0], index).whole
+        camera = prepared.scene.calibration(index)
+        if not person.empty:
+            fits[camera.name] = overlap.mask_overlap(vertices, camera, person.full())[0]
+    return fits
+
+
+def _held_out_warnings(prepared: Prepared, fits: dict[str, float]) -> list[str]:
+    """Returns a sentence on views that are not measured, on masks without a person, and on cameras that do not fit."""
+    where = f"{prepared.scene.root}, frame {prepared.test[0]}"
     warnings, trained = [], set(prepared.train_views)
     asked = [(moment, camera) for camera in prepared.cameras for moment in prepared.test]
     dropped = sum(view in trained for view in asked)
@@ -187,26 +230,15 @@ def _held_out_warnings(prepared: Prepared, views: Views, poser: Poser) -> list[s
             f"{prepared.scene.root}: {dropped} of {len(asked)} held-out views are trained on and not measured; leave "
             "dataset.train_camera out of dataset.test_cameras."
         )
-    vertices, _ = poser.pose(views.parameters(frame))
-    doubtful, seen = [], 0
-    for index in prepared.cameras:
-        person = survey.read_person(prepared.scene, frame, index).whole
-        camera = prepared.scene.calibration(index)
-        fit, _ = overlap.mask_overlap(vertices, camera, person.full())
-        seen += not person.empty
-        if fit < LOW_OVERLAP and not person.empty:
-            doubtful.append(camera.name)
-    if prepared.cameras and not seen:
+    if prepared.cameras and not fits:
         warnings.append(
-            f"{prepared.scene.root}, frame {frame}: no mask of the {len(prepared.cameras)} held-out cameras shows a "
-            "person; figures of views without a person are null. Check their masks."
+            f"{where}: no mask of the {len(prepared.cameras)} held-out cameras shows a person; figures of views "
+            "without a person are null. Check their masks."
         )
-    if not doubtful:
-        return warnings
-    names = ", ".join(doubtful[:5])
-    return [
-        *warnings,
-        f"{prepared.scene.root}, frame {frame}: projected body and mask overlap badly (IoU below "
-        f"{LOW_OVERLAP}) in {len(doubtful)} of {len(prepared.cameras)} held-out cameras: {names}. "
-        "Check their R and T.",
-    ]
+    doubtful = [name for name, fit in fits.items() if fit < LOW_OVERLAP]
+    if doubtful:
+        warnings.append(
+            f"{where}: projected body and mask overlap badly (IoU below {LOW_OVERLAP}) in {len(doubtful)} of "
+            f"{len(prepared.cameras)} held-out cameras: {', '.join(doubtful[:5])}. Check their R and T."
+        )
+    return warnings
