@@ -71,7 +71,7 @@ THRESHOLDS = (
     Threshold("whole", "evidence.FRAMES_TO_JUDGE", evidence.FRAMES_TO_JUDGE,
               "fewer frames of a whole person, and nothing is said of how poses fit", "{:.0f}".format),
     Threshold("most_hidden", "decisions.MOSTLY_HIDDEN", decisions.MOSTLY_HIDDEN,
-              "a frame that hides more has the score distillation on", percent),
+              "distillation is on where occluded frames hide more, in the median", percent),
     Threshold("lit", "decisions.LIT", decisions.LIT, "a lamp that explains less is left out", percent),
     Threshold("lit_condition", "decisions.DETERMINED", decisions.DETERMINED,
               "a lamp of a larger condition is left out", "{:.1f}".format),
@@ -103,7 +103,7 @@ def statistics(make: Callable[[Sequence[str]], Settings]) -> dict[str, float | N
     behind = [f.evidence.hidden_share for f in frames if f.index < 0.8 * len(frames)]
     before = [f.evidence.hidden_share for f in frames if f.index >= 0.8 * len(frames)]
     found["hidden_strip"], found["hidden_whole"] = float(np.median(behind)), float(max(before))
-    found["most_hidden"] = max(f.evidence.hidden_share for f in frames)
+    found["most_hidden"] = float(np.median([f.evidence.hidden_share for f in frames if f.evidence.occluded]))
     for name, observed_frames in (("misfit_given", given), ("misfit_aligned", frames)):
         measured = misfit_of(observed_frames)
         found[name] = None if measured is None else measured[0]

@@ -99,7 +99,8 @@ def test_the_plain_baseline_corrects_no_frame_by_itself() -> None:
     ("overrides", "shares", "distilled"),
     [
         ((), [0.0] * 4 + [0.5] * 8, False),
-        ((), [0.0] * 4 + [0.5] * 7 + [0.95], True),
+        ((), [0.0] * 4 + [0.5] * 7 + [0.95], False),
+        ((), [0.0] * 4 + [0.5] * 3 + [0.95] * 5, True),
         (("variant=D",), [0.0] * 4 + [0.5] * 8, True),
         (("variant=D",), [0.0] * 12, False),
         (("plan=full",), [0.0] * 4 + [0.5] * 8, True),

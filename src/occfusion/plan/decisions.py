@@ -24,7 +24,8 @@ HIDDEN_STAGES = ("init",)
 references it still trains on, with more Gaussians (docs/experiments/004-leaving-out.md has what that gains)."""
 
 MOSTLY_HIDDEN = 0.9
-"""Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on."""
+"""Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on. A few of
+them change nothing (docs/experiments/034-fewer-milliseconds.md)."""
 
 LIT = 0.1
 """Of the differences between sightings of a point of the body: a lamp that explains less is left out."""
@@ -86,8 +87,8 @@ def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] |
     """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order.
 
     Where no frame is occluded, neither has anything to add to what is seen. Nor has either where every occluded frame
-    gets a complete mask and a refinement follows: both are left out then. Variants without a refinement, which are
-    there to show the terms, keep them.
+    gets a complete mask, most of them show some of the person, and a refinement follows: both are left out then.
+    Variants without a refinement, which are there to show the terms, keep them.
     """
     sds = settings.optim.sds
     reasons = [f"optim.sds.lambda_{name} = {getattr(sds, f'lambda_{name}'):g}" for name in ("pose", "can")]
@@ -100,11 +101,14 @@ def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] |
         reasons = [f"{reason}; {_hidden_reason(observed_frames)}" for reason in reasons]
         used = [False, False]
     elif observed_frames is not None and any(used) and _may_leave_out(settings):
-        most = max(observed_frame.evidence.hidden_share for observed_frame in observed_frames)
-        if most <= MOSTLY_HIDDEN:
-            occluded = _occluded(observed_frames)
-            known = f"all {occluded} occluded frames get complete masks and show at least {1 - most:.0%}"
-            reasons = [f"{reason}; {known} of the body: it changed nothing then" for reason in reasons]
+        shares = [f.evidence.hidden_share for f in observed_frames if f.evidence.occluded]
+        median = float(np.median(shares))
+        if median <= MOSTLY_HIDDEN:
+            known = f"all {len(shares)} occluded frames get complete masks, and half of them show at least"
+            reasons = [
+                f"{reason}; {known} {1 - median:.0%} of the body: it changed nothing then"
+                for reason in reasons
+            ]
             used = [False, False]
     names = ("loss term sds_pose", "loss term sds_can")
     return [Decision(*parts) for parts in zip(names, used, reasons, strict=True)]
