@@ -404,3 +404,12 @@ def test_colours_are_completed_where_much_of_the_body_is_unseen(overrides, unsee
     assert {d.part: d.used for d in plan.decisions}["completed colours"] is completes
     assert (plan.settings.optim.unseen_colors == "prior") is completes
     assert any(line.startswith("completed colours: ") for line in plan.lines()) is completes
+
+
+def test_the_crop_of_the_perceptual_term_follows_the_size_of_the_pictures() -> None:
+    asked = settings_of()
+    assert [asked.refine.crop_side(size) for size in (96, 256, 512, 1024)] == [64, 64, 128, 256]
+    assert settings_of("refine.perceptual_crop=40").refine.crop_side(512) == 40
+    plan = used(asked, frames(*[0.5] * 12))
+    assert not plan["perceptual term at every step and on the whole person in refine"]
+    assert used(settings_of("recipe=paper"), None)["perceptual term at every step and on the whole person in refine"]

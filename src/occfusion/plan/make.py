@@ -257,8 +257,10 @@ def _term_decisions(stage: str, settings: AvatarSettings, terms: tuple[str, ...]
         plan.append(Decision(f"loss term {name}{where}", weight > 0, f"{stage}.lambda_{name} = {weight:g}"))
         if name == "lpips" and weight:
             every, crop = settings.perceptual_every, settings.perceptual_crop
+            side = "a quarter of the picture's side" if crop is None else f"{crop} px"
             plan.append(
-                Decision(f"perceptual term at every step and on the whole person{where}", every == 1 and crop >= 2048,
-                         f"every {every} steps on a random crop of {crop} px: it costs more than all else together")
+                Decision(f"perceptual term at every step and on the whole person{where}",
+                         every == 1 and crop is not None and crop >= 2048,
+                         f"every {every} steps on a random crop of {side}: it costs more than all else together")
             )  # fmt: skip
     return plan

@@ -216,6 +216,10 @@ class SurfaceSettings:
         return self.outline > 0 or self.backface > 0
 
 
+LEAST_CROP = 64
+"""Pixels: the perceptual network halves a window five times."""
+
+
 @dataclass
 class AvatarSettings:
     """What the stages that train an avatar have in common: weights, schedules and rates.
@@ -234,7 +238,10 @@ class AvatarSettings:
     perceptual_every: int = setting(
         8, "steps from one perceptual term to the next, which then has that many times the weight", 1, 10_000
     )
-    perceptual_crop: int = setting(128, "side of its random crop, pixels", 32, 2048)
+    perceptual_crop: int | None = setting(
+        128, f"side of its random crop, pixels; null: a quarter of the picture's longer side, {LEAST_CROP} at least",
+        32, 2048,
+    )  # fmt: skip
     hidden: HiddenSettings = field(default_factory=HiddenSettings)
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     sh_degree: int = setting(1, "highest band of spherical harmonics", 0, 3)
@@ -245,6 +252,10 @@ class AvatarSettings:
     rates_at_end: float = setting(
         1.0, "factor on all rates at the stage's last step, reached exponentially; 1: none", 0, 1
     )
+
+    def crop_side(self, size: int) -> int:
+        """Returns the side of the perceptual term's crop for pictures of this longer side, pixels."""
+        return max(size // 4, LEAST_CROP) if self.perceptual_crop is None else self.perceptual_crop
 
     def term_weights(self) -> dict[str, float]:
         """Returns the weight of each loss term, by its name."""
@@ -343,6 +354,7 @@ class RefineSettings(AvatarSettings):
     lambda_ssim: float = with_default(AvatarSettings, "lambda_ssim", 0.2)
     lambda_lpips: float = with_default(AvatarSettings, "lambda_lpips", 0.1)
     perceptual_every: int = with_default(AvatarSettings, "perceptual_every", 16)
+    perceptual_crop: int | None = with_default(AvatarSettings, "perceptual_crop", None)
     densify: bool = with_default(AvatarSettings, "densify", True)
     densification: Densification = field(
         default_factory=lambda: Densification(

@@ -159,10 +159,11 @@ class AvatarStage(Stage):
         perceptual = self._perceptual[0]
         return None if self.global_step % self._schedule.perceptual_every else perceptual
 
-    def perceptual_box(self, mask: Tensor) -> Box:
-        """Returns this step's random crop about a mask, in the coordinates of the mask."""
+    def perceptual_box(self, mask: Tensor, camera: Camera) -> Box:
+        """Returns this step's random crop of a picture about a mask, in the coordinates of the mask."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
-        return random_crop_box(mask, self._schedule.perceptual_crop, generator)
+        side = self._schedule.crop_side(max(camera.width, camera.height))
+        return random_crop_box(mask, side, generator)
 
     # -- optimiser, schedules, densification ------------------------------------------------------------------
 
