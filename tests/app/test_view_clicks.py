@@ -152,6 +152,28 @@ def test_what_is_clicked_is_what_the_avatar_does(visitor: Visitor) -> None:
     assert "optim, done" in visitor.browser.evaluate("document.body.innerText")
     visitor.click(field("play"))
     visitor.until(lambda: page.frame.value > 3)
+    visitor.click(field("play"))
+    visitor.until(lambda: not page.playing.value)
+
+    # pictures drawn here stand where the browser draws the Gaussians; white ones need no order
+    def white() -> NDArray[np.bool_]:
+        picture = cv2.resize(decoded(visitor.browser.screenshot()), (WIDTH, HEIGHT))
+        return (picture[:, WIDTH // 3 : -WIDTH // 3] > 200).all(axis=2)
+
+    def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+        return float((a & b).sum() / max((a | b).sum(), 1))
+
+    visitor.until(lambda: (first := white()).sum() > 1000 and overlap(first, white()) == 1.0)
+    by_browser = white()
+    visitor.choose("drawn by", "server")
+    visitor.until(lambda: page._has_pictures)
+    assert page.server.scene.get_handle_by_name("/splats") is None
+    visitor.until(lambda: overlap(white(), by_browser) > 0.9)
+    visitor.click(field("play"))
+    visitor.until(lambda: overlap(white(), by_browser) < 0.8)
+    visitor.click(field("play"))
+    visitor.choose("drawn by", "browser")
+    visitor.until(lambda: not page._has_pictures)
 
 
 def test_input_truth_and_error_are_those_of_the_camera_that_is_chosen(
