@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.request import urlopen
 
@@ -19,12 +20,14 @@ from occfusion.errors import CheckpointError, DataError
 from occfusion.evaluation.pictures import to_uint8
 from occfusion.export.mesh import JOINTS
 from occfusion.files.run_folder import RunFolder
+from occfusion.geometry.rotation import matrix_to_quaternion
 from occfusion.human.rendering import Renderer
 from occfusion.run.bodies import make_body, make_data
 from occfusion.run.loaded import load_run
 from occfusion.run.showing import MotionChoice, make_showing
 from occfusion.viewer.figure import Figure
-from occfusion.viewer.room import UNITS, furnish
+from occfusion.viewer.pictures import camera_of, draw
+from occfusion.viewer.room import BACKGROUND, UNITS, furnish
 from occfusion.viewer.seen import TRAINING, Seen
 
 EYE = np.array([0.3, 1.0, 3.0])
@@ -57,6 +60,31 @@ def test_gaussians_are_those_of_rendered_pictures(short_run: Path, figure: Figur
     assert np.allclose(
         np.einsum("nij,nj->ni", splats.covariances, first), scales[:, :1] ** 2 * first, atol=1e-7
     )
+
+
+def test_pictures_for_visitors_are_rendered_pictures(short_run: Path, figure: Figure) -> None:
+    showing = make_showing(
+        load_run(short_run), "turntable", MotionChoice("squat"), size=(72, 64), frames=96, renderer=Renderer("auto")
+    )  # fmt: skip
+    shot = next(shot for shot in showing.shots if shot.row == 40)
+    drawn, camera = showing.painter.draw(shot), shot.camera
+    home = showing.painter.performance.upright @ torch.linalg.inv(camera.viewmat)
+    visitor = SimpleNamespace(
+        position=home[:3, 3].numpy() * UNITS, wxyz=matrix_to_quaternion(home[:3, :3]).numpy(),
+        fov=2 * np.arctan(0.5 * camera.height / float(camera.K[1, 1])), image_width=72, image_height=64,
+    )  # fmt: skip
+    cloud = figure.cloud(40, STILL, visitor.position / UNITS)
+    picture, depth = draw(cloud, figure, camera_of(visitor), Renderer("auto"))
+    expected = to_uint8(drawn.rgb + (1 - drawn.alpha[..., None]) * torch.tensor(BACKGROUND) / 255.0)
+    far = np.abs(picture.astype(int) - expected)  # the footprint is that of the middle of the person
+    assert expected.max() > 100 and far.max() < 12 and far.mean() < 0.1
+    solid = drawn.alpha.numpy() > 0.95
+    assert solid.sum() > 50 and np.abs(depth - UNITS * drawn.depth.numpy())[solid].mean() < 0.02
+    assert (depth[drawn.alpha.numpy() < 0.4] > 100).all()
+    large = SimpleNamespace(**{**vars(visitor), "image_width": 1920, "image_height": 1080})
+    seen = camera_of(large)
+    assert (seen.width, seen.height) == (800, 450) and float(seen.K[1, 2]) == 225.0
+    assert abs(float(seen.K[1, 1]) / 450 - float(camera.K[1, 1]) / 64) < 1e-4
 
 
 def test_a_turned_joint_moves_what_hangs_on_it(figure: Figure) -> None:
@@ -124,6 +152,35 @@ def test_the_page_shows_plays_and_switches(short_run: Path, server: Any) -> None
     page.motion.value = "walk"
     page._change_motion()
     assert page.step() and page.frame.max == len(page.figure.performance) - 1
+
+
+def test_pictures_are_drawn_here_for_each_visitor_or_by_browsers(
+    short_run: Path, server: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from occfusion.viewer.page import SERVER, Page
+
+    sent: list[list[Any]] = [[], []]
+    visitors = {}
+    for number, record in enumerate(sent):
+        camera = SimpleNamespace(
+            position=np.array([0.0, 11.0, (-1) ** number * 32.0]), wxyz=np.array([0.0, 1 - number, number, 0.0]),
+            fov=0.7, image_width=60, image_height=60,
+        )  # fmt: skip
+        scene = SimpleNamespace(set_background_image=lambda image, to=record, **_: to.append(image))
+        visitors[number] = SimpleNamespace(camera=camera, scene=scene)
+    monkeypatch.setattr(server, "get_clients", lambda: visitors)
+    page = Page(server, {"a run": short_run}, "squat", SERVER)
+    page.playing.value = False
+    assert page.step() and not page.step()
+    assert server.scene.get_handle_by_name("/splats") is None
+    front, back = (record[0] for record in sent)
+    assert front.shape == (60, 60, 3) and front.max() > 60
+    turned = np.abs(front.astype(int) - back[:, ::-1])
+    assert turned.mean() > 0.1 and np.abs(front.astype(int) - back).mean() > 0.1
+    page.drawn_by.value = "browser"
+    page._due()
+    assert page.step() and all(record[-1] is None and len(record) == 2 for record in sent)
+    assert len(server.scene.get_handle_by_name("/splats").centers) > 1000
 
 
 def test_without_the_data_the_avatar_is_shown_all_the_same(

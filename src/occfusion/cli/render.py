@@ -116,7 +116,9 @@ def run(arguments: argparse.Namespace) -> int:
         write_folder(arguments.output, told, arguments.layers)
     else:
         write_frames(arguments.output, (_beside(each) for each in told), fps)
-    print(f"{arguments.output}: {count} pictures, {fps:g} a second")
+    is_film = arguments.output.suffix.lower() not in ("", STILL)
+    pace = f", {fps:g} a second" if is_film and count > 1 else ""
+    print(f"{arguments.output}: {count} picture{'' if count == 1 else 's'}{pace}")
     return 0
 
 

@@ -26,6 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host", default="127.0.0.1", help="0.0.0.0 lets other machines in. Default: this one alone"
     )
+    parser.add_argument(
+        "--drawn-by", choices=("browser", "server"), default="browser",
+        help="server: pictures are drawn here, for browsers without a GPU; the page can change it. Default: browser",
+    )  # fmt: skip
     parser.add_argument("--browser", action="store_true", help="open the page in a browser")
 
 
@@ -61,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         with loading():  # takes seconds, in which the browser gets the page
             from occfusion.viewer.page import Page, names_of
 
-        page = Page(server, names_of(arguments.runs), arguments.motion)
+        page = Page(server, names_of(arguments.runs), arguments.motion, arguments.drawn_by)
         if page.figure.run.remark:
             print(page.figure.run.remark, file=sys.stderr)
         page.run()

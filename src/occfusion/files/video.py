@@ -52,7 +52,7 @@ def write_frames(path: Path, pictures: Iterable[Picture], fps: float) -> int:
 
     Args:
         path: `.mp4`, `.avi`, animated `.webp`, `.png` of one picture, or a folder for `NNNN.png` without a suffix.
-            A video's odd sizes are padded by one black row or column, since codecs halve the colour planes.
+            A video's odd sizes get their last row or column twice, since codecs halve the colour planes.
         pictures: uint8 `[H, W, 3]`, for `.webp` and `.png` also `[H, W, 4]`, for `.png` also `[H, W]` and uint16.
         fps: frames a second.
 
@@ -108,7 +108,7 @@ def _write_video(path: Path, pictures: Iterator[Picture], fps: float) -> int:
         try:
             for picture in pictures:
                 height, width = picture.shape[:2]
-                even = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)))
+                even = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
                 if writer is None:
                     writer = _open(path, partial, fps, (even.shape[1], even.shape[0]))
                 writer.write(cv2.cvtColor(even, cv2.COLOR_RGB2BGR))

@@ -157,9 +157,10 @@ class Painter:
 
     def _check_outside(self, shot: Shot, cloud: Cloud) -> None:
         if self._is_within(shot, cloud):
+            which = f' "{shot.caption}"' if shot.caption else ""
+            when = "in the canonical pose" if shot.row is None else f"at frame {shot.row} of the motion"
             raise ConfigError(
-                f"the camera{f' {shot.caption}' if shot.caption else ''} at frame {shot.row} is within the body; move "
-                "it away"
+                f"the camera{which} is within the body {when}; move it away from the person, or name another --path"
             )
 
     def _is_within(self, shot: Shot, cloud: Cloud) -> bool:

@@ -111,8 +111,8 @@ class Figure:
         return f"{run.stage}, {state}, {run.avatar.gaussians.num_gaussians} Gaussians"
 
     @torch.inference_mode()
-    def splats(self, row: int, turns: NDArray[np.float64], eye: NDArray[np.float64]) -> Splats:
-        """Returns the Gaussians at a moment.
+    def cloud(self, row: int, turns: NDArray[np.float64], eye: NDArray[np.float64]) -> Cloud:
+        """Returns the Gaussians at a moment, upright frame.
 
         Args:
             row: frame of the motion.
@@ -128,11 +128,17 @@ class Figure:
             pose = replace(pose, global_orient=moved[:3], body_pose=moved[3:])
         turn, shift = upright[:3, :3], upright[:3, 3]
         cloud = avatar(pose, (torch.tensor(eye).float() - shift) @ turn)
-        footprint = avatar.dilation * self.run.pixel**2
-        covariances = turn @ cloud.covariances @ turn.T + footprint * torch.eye(3)
+        return replace(
+            cloud, means=cloud.means @ turn.T + shift, covariances=turn @ cloud.covariances @ turn.T
+        )
+
+    def splats(self, row: int, turns: NDArray[np.float64], eye: NDArray[np.float64]) -> Splats:
+        """Returns the Gaussians at a moment as viewers take them; arguments as in `cloud`."""
+        cloud = self.cloud(row, turns, eye)
+        footprint = cloud.dilation * self.run.pixel**2
         return Splats(
-            (cloud.means @ turn.T + shift).numpy(),
-            covariances.numpy(),
+            cloud.means.numpy(),
+            (cloud.covariances + footprint * torch.eye(3)).numpy(),
             cloud.colors.clamp(0.0, 1.0).numpy(),
             cloud.opacities.numpy(),
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +16,12 @@ import torch
 from occfusion.errors import OccfusionError
 from occfusion.export.mesh import JOINTS
 from occfusion.geometry.rotation import matrix_to_quaternion
+from occfusion.human.rendering import Renderer
 from occfusion.motion import EMBEDDED_CLIPS, USUAL_FPS
 from occfusion.run.loaded import stages_with_avatar
 from occfusion.run.showing import SEQUENCE, run_names
 from occfusion.viewer.figure import NEWEST, Figure, Splats
+from occfusion.viewer.pictures import JPEG_QUALITY, camera_of, draw
 from occfusion.viewer.room import EYE, UNITS
 from occfusion.viewer.seen import KINDS, Seen
 
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 LOOKS = ("colours", "occupancy", "ellipsoids")
+BROWSER, SERVER = "browser", "server"
+"""Who draws: the visitor's browser, which needs a GPU to play a motion, or this process."""
 FOLLOW_SECONDS = 1.0
 """Between two looks for a newer checkpoint."""
 _MOST_RATE = 30.0
@@ -45,9 +50,12 @@ class Page:
         server: that viser has started, with what `room.furnish` puts up.
         folders: of the runs, by the names that they are chosen by.
         motion: that plays first.
+        drawn_by: `BROWSER` or `SERVER`.
     """
 
-    def __init__(self, server: ViserServer, folders: dict[str, Path], motion: str = SEQUENCE) -> None:
+    def __init__(
+        self, server: ViserServer, folders: dict[str, Path], motion: str = SEQUENCE, drawn_by: str = BROWSER
+    ) -> None:
         self.server = server
         self._folders = folders
         self.figure = Figure(next(iter(folders.values())), motion=motion)
@@ -59,25 +67,30 @@ class Page:
         self._seen = Seen(self.figure.run)
         self._asked: dict[int, Callable[[], None]] = {}
         self._handles: dict[str, Any] = {}
+        self._renderer = Renderer("auto")
+        self._has_pictures = False
+        self._make_controls(motion, drawn_by)
         self._watch_cameras()
-        self._make_controls(motion)
 
     # -- what the page has -----------------------------------------------------------------------------------
 
     def _watch_cameras(self) -> None:
         @self.server.on_client_connect
         def _(client: Any) -> None:
+            self._is_due |= self._draws_here()
+
             @client.camera.on_update
             def _(_: Any) -> None:
                 self._eye = np.asarray(client.camera.position) / UNITS
-                self._is_due |= self.figure.run.avatar.active_sh_degree > 0
+                self._is_due |= self._draws_here() or self.figure.run.avatar.active_sh_degree > 0
 
-    def _make_controls(self, motion: str) -> None:
+    def _make_controls(self, motion: str, drawn_by: str) -> None:
         gui = self.server.gui
         self.status = gui.add_markdown("")
         self.which = gui.add_dropdown("run", tuple(self._folders), visible=len(self._folders) > 1)
         self.stage = gui.add_dropdown("stage", self._stages())
         self.look = gui.add_dropdown("show", LOOKS)
+        self.drawn_by = gui.add_dropdown("drawn by", (BROWSER, SERVER), initial_value=drawn_by)
         with gui.add_folder("motion"):
             own = () if motion in (SEQUENCE, *EMBEDDED_CLIPS) else (motion,)
             self.motion = gui.add_dropdown("motion", (*own, SEQUENCE, *EMBEDDED_CLIPS), initial_value=motion)
@@ -97,6 +110,7 @@ class Page:
             (self.which, self._open), (self.stage, self._open), (self.motion, self._change_motion),
             (self.joint, self._show_joint), (self.straighten, self._straighten), (self.with_input, self._show_input),
             (self.kind, self._due), (self.camera, self._due), (self.look, self._due),
+            (self.drawn_by, self._due),
         ):  # fmt: skip
             self._on(handle, done)
         for axis, slider in enumerate(self.angles):
@@ -197,17 +211,23 @@ class Page:
         self._shown += 1
         if now - self._since > 1.0:
             rate = (
-                f", {self._shown / (now - self._since):.0f} pictures a second" if self.playing.value else ""
+                f", {self._shown / (now - self._since):.0f} pictures a second sent"
+                if self.playing.value
+                else ""
             )
             self.status.content = f"{self.figure.label}{rate}"
             self._shown, self._since = 0, now
 
     def _send(self, row: int) -> None:
-        splats = self.figure.splats(row, self._turns, self._eye)
         with self.server.atomic():
             if row != self.frame.value:
                 self.frame.value = row
-            (self._send_ellipsoids if self.look.value == "ellipsoids" else self._send_splats)(splats)
+            if self._draws_here():
+                self._send_pictures(row)
+            else:
+                self._clear_pictures()
+                splats = self.figure.splats(row, self._turns, self._eye)
+                (self._send_ellipsoids if self.look.value == "ellipsoids" else self._send_splats)(splats)
             try:
                 self._send_input(row)
             except OccfusionError as error:  # the avatar needs no data: it goes on without them
@@ -216,6 +236,29 @@ class Page:
                 self.beside.visible, self.said.content = False, f"**{error}**"
         if not self.status.content:
             self.status.content = self.figure.label
+
+    def _draws_here(self) -> bool:
+        return bool(self.drawn_by.value == SERVER and self.look.value != "ellipsoids")
+
+    def _send_pictures(self, row: int) -> None:
+        """Gives each visitor a picture by its own camera, behind what the browser draws, with its depths."""
+        for name in ("splats", "ellipsoids"):  # a browser without a GPU is busy with hidden ones too
+            if name in self._handles:
+                self._handles.pop(name).remove()
+        self._has_pictures = True
+        for client in self.server.get_clients().values():
+            eye = np.asarray(client.camera.position) / UNITS
+            cloud = self.figure.cloud(row, self._turns, eye)
+            if self.look.value == "occupancy":
+                cloud = replace(cloud, colors=torch.ones_like(cloud.colors))
+            picture, depth = draw(cloud, self.figure, camera_of(client.camera), self._renderer)
+            client.scene.set_background_image(picture, format="jpeg", jpeg_quality=JPEG_QUALITY, depth=depth)
+
+    def _clear_pictures(self) -> None:
+        if self._has_pictures:
+            for client in self.server.get_clients().values():
+                client.scene.set_background_image(None)
+        self._has_pictures = False
 
     def _send_splats(self, splats: Splats) -> None:
         self._hide("ellipsoids")

@@ -12,6 +12,8 @@ UNITS = 10.0
 """Of the scene in a metre: viser keeps covariances in half precision, which square millimetres are too small for."""
 EYE = (0.0, 1.1, 3.2)
 """Where visitors' cameras begin, upright frame, metres."""
+BACKGROUND = (20, 20, 20)
+"""What viser's dark pages have behind the scene, 8-bit RGB."""
 _TARGET = (0.0, 0.95, 0.0)
 _FIELD_OF_VIEW = math.radians(40)
 
