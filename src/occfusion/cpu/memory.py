@@ -20,8 +20,13 @@ def peak_memory_mb() -> float:
 
 
 def return_memory() -> None:
-    """Collects what nothing refers to, and asks the C library to return freed memory to the system, where it can."""
+    """Collects what nothing refers to, and gives freed memory back to the system."""
     gc.collect()  # trainers refer to their stages and those to them
+    trim_memory()
+
+
+def trim_memory() -> None:
+    """Asks the C library to return freed memory to the system, where it can."""
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's
         if trim is not None:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
+from occfusion.cpu.memory import return_memory
 from occfusion.cpu.processes import is_helper, local_rank
 from occfusion.data import HumanDataModule
 from occfusion.data.sampling import spread
@@ -132,7 +133,9 @@ class Run:
         """
         avatar = self.avatar
         for stage in self.stages:
+            return_memory()  # what was observed, or trained, took some for a while
             avatar = stage.run(avatar)
+        return_memory()
         return avatar
 
 
