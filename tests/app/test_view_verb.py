@@ -25,9 +25,10 @@ from occfusion.human.rendering import Renderer
 from occfusion.run.bodies import make_body, make_data
 from occfusion.run.loaded import load_run
 from occfusion.run.showing import MotionChoice, make_showing
+from occfusion.types import Camera
 from occfusion.viewer.figure import Figure
-from occfusion.viewer.pictures import camera_of, draw
-from occfusion.viewer.room import BACKGROUND, UNITS, furnish
+from occfusion.viewer.pictures import camera_of, draw, floor
+from occfusion.viewer.room import BACKGROUND, FLOOR_CELL, UNITS, furnish
 from occfusion.viewer.seen import TRAINING, Seen
 
 EYE = np.array([0.3, 1.0, 3.0])
@@ -75,7 +76,9 @@ def test_pictures_for_visitors_are_rendered_pictures(short_run: Path, figure: Fi
     )  # fmt: skip
     cloud = figure.cloud(40, STILL, visitor.position / UNITS)
     picture, depth = draw(cloud, figure, camera_of(visitor), Renderer("auto"))
-    expected = to_uint8(drawn.rgb + (1 - drawn.alpha[..., None]) * torch.tensor(BACKGROUND) / 255.0)
+    expected = to_uint8(
+        drawn.rgb + (1 - drawn.alpha[..., None]) * torch.from_numpy(floor(camera_of(visitor))) / 255.0
+    )
     far = np.abs(picture.astype(int) - expected)  # the footprint is that of the middle of the person
     assert expected.max() > 100 and far.max() < 12 and far.mean() < 0.1
     solid = drawn.alpha.numpy() > 0.95
@@ -85,6 +88,26 @@ def test_pictures_for_visitors_are_rendered_pictures(short_run: Path, figure: Fi
     seen = camera_of(large)
     assert (seen.width, seen.height) == (800, 450) and float(seen.K[1, 2]) == 225.0
     assert abs(float(seen.K[1, 1]) / 450 - float(camera.K[1, 1]) / 64) < 1e-4
+
+
+def test_lines_of_the_floor_are_where_a_camera_sees_them() -> None:
+    # from 1.5 m up and 2 m before, looking down by 37 degrees
+    turn = torch.tensor([[1.0, 0, 0], [0, -0.8, 0.6], [0, -0.6, -0.8]])
+    viewmat = torch.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = turn, -turn @ torch.tensor([0.05, 1.5, 2.0])
+    K = torch.tensor([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
+    picture = floor(Camera(viewmat, K, 320, 240)).astype(int).sum(axis=2)
+    dark = sum(BACKGROUND)
+    for x, z, is_line in (
+        (0.25, 0.1, True), (-0.5, 0.6, True), (0.1, 0.25, True), (0.6, -0.5, True),
+        (0.125, 0.125, False), (-0.375, 0.375, False), (0.63, -0.37, False),
+    ):  # fmt: skip
+        seen = K @ (turn @ torch.tensor([x, 0.0, z]) + viewmat[:3, 3])
+        column, row = (seen[:2] / seen[2] - 0.5).round().int().tolist()
+        around = picture[row - 1 : row + 2, column - 1 : column + 2]
+        assert around.shape == (3, 3) and (around.max() > dark + 100) == is_line, (x, z)
+    behind = floor(Camera(torch.diag(torch.tensor([1.0, -1, -1, 1])) @ viewmat, K, 320, 240))
+    assert (behind == BACKGROUND).all() and FLOOR_CELL == 0.25
 
 
 def test_a_turned_joint_moves_what_hangs_on_it(figure: Figure) -> None:

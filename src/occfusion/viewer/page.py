@@ -22,7 +22,7 @@ from occfusion.run.loaded import stages_with_avatar
 from occfusion.run.showing import SEQUENCE, run_names
 from occfusion.viewer.figure import NEWEST, Figure, Splats
 from occfusion.viewer.pictures import JPEG_QUALITY, camera_of, draw
-from occfusion.viewer.room import EYE, UNITS
+from occfusion.viewer.room import EYE, FLOOR, UNITS
 from occfusion.viewer.seen import KINDS, Seen
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ BROWSER, SERVER = "browser", "server"
 FOLLOW_SECONDS = 1.0
 """Between two looks for a newer checkpoint."""
 _MOST_RATE = 30.0
+_SLIDER_SECONDS = 0.25
+"""Between two places of the slider while a motion plays: a browser draws its whole page anew for each."""
 _FRAME = (230, 200, 90)
 """Colour of a camera's outline."""
 
@@ -64,6 +66,7 @@ class Page:
         self._is_due = True
         self._time, self._last, self._looked = 0.0, time.monotonic(), time.monotonic()
         self._shown, self._since = 0, time.monotonic()
+        self._row, self._told = -1, 0.0
         self._seen = Seen(self.figure.run)
         self._asked: dict[int, Callable[[], None]] = {}
         self._handles: dict[str, Any] = {}
@@ -200,7 +203,7 @@ class Page:
             self._time += now - self._last
         self._last = now
         row = int(self._time * self._rate() + 1e-6) % len(self.figure.performance)
-        if not self._is_due and row == self.frame.value:
+        if not self._is_due and row == self._row:
             return False
         self._is_due = False
         self._send(row)
@@ -220,8 +223,10 @@ class Page:
 
     def _send(self, row: int) -> None:
         with self.server.atomic():
-            if row != self.frame.value:
-                self.frame.value = row
+            self._row = row
+            is_told = not self.playing.value or time.monotonic() - self._told > _SLIDER_SECONDS
+            if row != self.frame.value and is_told:
+                self.frame.value, self._told = row, time.monotonic()
             if self._draws_here():
                 self._send_pictures(row)
             else:
@@ -246,16 +251,25 @@ class Page:
             if name in self._handles:
                 self._handles.pop(name).remove()
         self._has_pictures = True
+        self._show_floor(False)  # it is in the pictures
         for client in self.server.get_clients().values():
             eye = np.asarray(client.camera.position) / UNITS
             cloud = self.figure.cloud(row, self._turns, eye)
             if self.look.value == "occupancy":
                 cloud = replace(cloud, colors=torch.ones_like(cloud.colors))
             picture, depth = draw(cloud, self.figure, camera_of(client.camera), self._renderer)
-            client.scene.set_background_image(picture, format="jpeg", jpeg_quality=JPEG_QUALITY, depth=depth)
+            # depths cost a browser as much again, and only a camera's outline can stand before or behind
+            depths = depth if self.with_input.value else None
+            client.scene.set_background_image(picture, format="jpeg", jpeg_quality=JPEG_QUALITY, depth=depths)
+
+    def _show_floor(self, is_shown: bool) -> None:
+        handle = self.server.scene.get_handle_by_name(FLOOR)
+        if handle is not None and handle.visible != is_shown:
+            handle.visible = is_shown
 
     def _clear_pictures(self) -> None:
         if self._has_pictures:
+            self._show_floor(True)
             for client in self.server.get_clients().values():
                 client.scene.set_background_image(None)
         self._has_pictures = False

@@ -12,6 +12,10 @@ UNITS = 10.0
 """Of the scene in a metre: viser keeps covariances in half precision, which square millimetres are too small for."""
 EYE = (0.0, 1.1, 3.2)
 """Where visitors' cameras begin, upright frame, metres."""
+FLOOR = "/floor"
+"""Name of the grid that people stand on."""
+FLOOR_SIDE, FLOOR_CELL = 4.0, 0.25
+"""Metres."""
 BACKGROUND = (20, 20, 20)
 """What viser's dark pages have behind the scene, 8-bit RGB."""
 _TARGET = (0.0, 0.95, 0.0)
@@ -22,7 +26,8 @@ def furnish(server: ViserServer) -> None:
     """Puts up the floor and the camera."""
     server.gui.configure_theme(dark_mode=True, show_share_button=False)
     server.scene.set_up_direction("+y")
-    server.scene.add_grid("/floor", width=4 * UNITS, height=4 * UNITS, plane="xz", cell_size=0.25 * UNITS)
+    side = FLOOR_SIDE * UNITS
+    server.scene.add_grid(FLOOR, width=side, height=side, plane="xz", cell_size=FLOOR_CELL * UNITS)
     camera = server.initial_camera
     camera.up, camera.fov = (0.0, 1.0, 0.0), _FIELD_OF_VIEW
     camera.look_at, camera.position = (_scaled(place) for place in (_TARGET, EYE))
