@@ -412,4 +412,6 @@ def test_the_crop_of_the_perceptual_term_follows_the_size_of_the_pictures() -> N
     assert settings_of("refine.perceptual_crop=40").refine.crop_side(512) == 40
     plan = used(asked, frames(*[0.5] * 12))
     assert not plan["perceptual term at every step and on the whole person in refine"]
-    assert used(settings_of("recipe=paper"), None)["perceptual term at every step and on the whole person in refine"]
+    assert used(settings_of("recipe=paper"), None)[
+        "perceptual term at every step and on the whole person in refine"
+    ]
