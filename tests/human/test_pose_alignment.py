@@ -16,7 +16,7 @@ from occfusion.human import Avatar, Body, PoseSpline, embedded_body, load_avatar
 from occfusion.observation import pose_alignment
 from occfusion.observation.outline_system import OutlineSystem
 from occfusion.observation.pose_alignment import GROUPS, Aligner, align_poses, aligned_pose, spline_weights
-from occfusion.observation.pose_witness import Look, _Figure, observe_outline
+from occfusion.observation.pose_witness import Look, Witness, _Figure, observe_outline
 from occfusion.types import Camera, Pose
 
 SIZE, FRAMES = 112, 32
@@ -170,10 +170,15 @@ def test_the_system_is_solved_as_stacked_least_squares(
     system.weigh()
     rng = np.random.default_rng(0)
     precision = np.concatenate([rng.uniform(1e2, 1e4, system.count), system.fixed_precision])
-    solution, variance = system.solve(precision)
-    rows = np.concatenate(
-        [np.concatenate([np.kron(aligner._weights[k], w.turns), system._rows(w)], axis=1) for k, w in seen]
-    )
+    solution, variance = system.solve_with_variance(precision)
+    np.testing.assert_array_equal(system.solve(precision), solution)
+
+    def row_of(k: int, w: Witness) -> np.ndarray:
+        place = w.per_metre[:, None] * (aligner._patch[w.vertices][:, None] == np.arange(12))
+        knots = np.kron(aligner._weights[k], w.turns)
+        return np.concatenate([knots, w.picture, w.shape, w.per_metre[:, None], place], axis=1)
+
+    rows = np.concatenate([row_of(k, w) for k, w in seen])
     root = np.sqrt(system.row_weights)
     stacked = np.concatenate([rows * root[:, None], np.diag(np.sqrt(precision))])
     targets = np.concatenate([np.concatenate([w.offsets for _, w in seen]) * root, np.zeros(len(precision))])

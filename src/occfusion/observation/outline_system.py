@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
+from scipy.sparse import csr_array
 
 from occfusion.observation.pose_witness import POSE_COLUMNS, Witness
 
@@ -119,46 +120,67 @@ class OutlineSystem:
         values, extra = solution[: self.count].reshape(self.knots, -1), solution[self.count :]
         parts = []
         for k, w in self._seen:
-            parts.append(w.turns @ (self._spline_weights[k] @ values) + self._rows(w) @ extra)
+            few = _few(w)
+            alike = few @ extra[: few.shape[1]] + w.per_metre * extra[few.shape[1] + self._patch[w.vertices]]
+            parts.append(w.turns @ (self._spline_weights[k] @ values) + alike)
         return np.concatenate(parts)
 
-    def _rows(self, w: Witness) -> Floats:
-        rows = np.zeros((len(w.offsets), self._extra))
-        few = np.column_stack([w.picture, w.shape, w.per_metre])
-        rows[:, : few.shape[1]] = few
-        rows[np.arange(len(rows)), few.shape[1] + self._patch[w.vertices]] = w.per_metre
-        return rows
-
     def _assemble(self) -> None:
-        total = self.count + self._extra
+        """Forms the normal equations; each row knows one place alone of those that stand off."""
+        total, size = self.count + self._extra, POSE_COLUMNS
         normal, right = np.zeros((total, total)), np.zeros(total)
-        size = POSE_COLUMNS
+        patches = int(self._patch.max()) + 1
+        few, places = slice(self.count, total - patches), slice(total - patches, total)
+        diagonal = np.zeros(patches)
         for n, (k, w) in enumerate(self._seen):
             own = slice(self._ends[n], self._ends[n + 1])
-            rows = np.concatenate([w.turns, self._rows(w)], axis=1)
+            rows, place = np.concatenate([w.turns, _few(w)], axis=1), self._patch[w.vertices]
             weighted = rows * self.row_weights[own, None]
             block, part = weighted.T @ rows, weighted.T @ self._targets[own]
+            by_place = (
+                csr_array((w.per_metre, (place, np.arange(len(place)))), shape=(patches, len(place)))
+                @ weighted
+            )
+            pull = self.row_weights[own] * w.per_metre
             active = np.flatnonzero(self._spline_weights[k])
             for a in active:
                 wa, sa = self._spline_weights[k, a], slice(a * size, (a + 1) * size)
                 right[sa] += wa * part[:size]
-                normal[sa, self.count :] += wa * block[:size, size:]
+                normal[sa, few] += wa * block[:size, size:]
+                normal[sa, places] += wa * by_place[:, :size].T
                 for b in active:
                     normal[sa, b * size : (b + 1) * size] += (
                         wa * self._spline_weights[k, b] * block[:size, :size]
                     )
-            normal[self.count :, self.count :] += block[size:, size:]
-            right[self.count :] += part[size:]
+            normal[few, few] += block[size:, size:]
+            normal[few, places] += by_place[:, size:].T
+            diagonal += np.bincount(place, pull * w.per_metre, patches)
+            right[few] += part[size:]
+            right[places] += np.bincount(place, pull * self._targets[own], patches)
+        normal[places, places] = np.diag(diagonal)
+        normal[places, few] = normal[few, places].T
         normal[self.count :, : self.count] = normal[: self.count, self.count :].T
         self._normal, self._right = normal, right
 
-    def solve(self, precision: Floats) -> tuple[Floats, Floats]:
-        """Returns the most likely unknowns, and their variances."""
+    def solve(self, precision: Floats) -> Floats:
+        """Returns the most likely unknowns."""
+        return self._solve(precision)[1]
+
+    def solve_with_variance(self, precision: Floats) -> tuple[Floats, Floats]:
+        """Returns the most likely unknowns and their variances, which cost twice as much again."""
+        factor, solution = self._solve(precision)
+        inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
+        return solution, np.diag(inverse) / precision
+
+    def _solve(self, precision: Floats) -> tuple[Floats, Floats]:
         # in units of the prior's spread the system is well scaled whatever it is
         scale = precision**-0.5
         scaled = self._normal * scale[:, None] * scale
         scaled[np.diag_indices_from(scaled)] += 1.0
         factor = cho_factor(scaled, lower=True, overwrite_a=True)
-        solution = scale * cho_solve(factor, scale * self._right)
-        inverse, _ = dpotri(factor[0], lower=1, overwrite_c=1)
-        return solution, scale**2 * np.diag(inverse)
+        return factor[0], scale * cho_solve(factor, scale * self._right)
+
+
+def _few(w: Witness) -> Floats:
+    """Returns what shift and scale of the pictures, shape and standing off as a whole give, `[N, 4 + B]`, pixels."""
+    return np.column_stack([w.picture, w.shape, w.per_metre])

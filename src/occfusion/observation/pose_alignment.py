@@ -188,7 +188,7 @@ class Aligner:
         if not self._step(everyone[::2], REACH, True):
             return None
         amount, gain = self._best_amount(everyone[1::2])
-        for _ in range(SETTLING):
+        for _ in range(SETTLING if amount else 0):  # what is not taken need not be found to the end
             if not self._step(everyone, REACH, True):
                 return None
         told = np.clip(1.0 - self._variance / self.spreads[self._group] ** 2, 0.0, 1.0)
@@ -241,11 +241,11 @@ class Aligner:
         precision = np.concatenate([self.spreads[self._group] ** -2.0, system.fixed_precision])
         for _ in range(2):  # weights, from the residual about the last fit
             system.weigh()
-            system.settle(system.solve(precision)[0])
+            system.settle(system.solve(precision))
         system.weigh()
         for _ in range(EVIDENCE_STEPS):
             precision[: self._count] = self.spreads[self._group] ** -2.0
-            solution, variance = system.solve(precision)
+            solution, variance = system.solve_with_variance(precision)
             self._update_spreads(solution[: self._count], variance[: self._count])
         self.values = solution[: self._count].reshape(self._knots, POSE_COLUMNS)
         few = slice(self._count, self._count + 3)
