@@ -150,10 +150,6 @@ def test_what_is_clicked_is_what_the_avatar_does(visitor: Visitor) -> None:
     visitor.choose("stage", "optim")
     visitor.until(lambda: page.stage.value == "optim")
     assert "optim, done" in visitor.browser.evaluate("document.body.innerText")
-    visitor.click(field("play"))
-    visitor.until(lambda: page.frame.value > 3)
-    visitor.click(field("play"))
-    visitor.until(lambda: not page.playing.value)
 
     # pictures drawn here stand where the browser draws the Gaussians; white ones need no order
     def white() -> NDArray[np.bool_]:
@@ -170,6 +166,7 @@ def test_what_is_clicked_is_what_the_avatar_does(visitor: Visitor) -> None:
     assert page.server.scene.get_handle_by_name("/splats") is None
     visitor.until(lambda: overlap(white(), by_browser) > 0.9)
     visitor.click(field("play"))
+    visitor.until(lambda: page.frame.value > 3)
     visitor.until(lambda: overlap(white(), by_browser) < 0.8)
     visitor.click(field("play"))
     visitor.until(lambda: not page.playing.value)

@@ -193,7 +193,8 @@ class Page:
                 done()
             if now - self._looked > FOLLOW_SECONDS:
                 self._looked = now
-                self._is_due |= self.figure.reload()
+                # a browser that was busy with Gaussians has been seen to miss the first picture that it was sent
+                self._is_due |= self.figure.reload() or self._draws_here()
                 if (stages := self._stages()) != self.stage.options:
                     self.stage.options = stages
         except OccfusionError as error:
