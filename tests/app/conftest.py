@@ -32,6 +32,10 @@ def train(scene_root: Path, tmp_path: Path) -> Callable[..., tuple[Path, dict[st
     return run
 
 
+UNMEASURED = ("evaluation.held_out=false", "evaluation.training_views=false", "evaluation.pictures=false")
+"""Of tests that look at parameters alone."""
+
+
 @pytest.fixture(scope="session")
 def short_run(scene_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run of a few steps, for tests that only look at its avatar."""

@@ -11,6 +11,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from app.conftest import UNMEASURED
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.files.run_folder import RunFolder
@@ -173,7 +174,7 @@ def test_the_hand_over_does_not_stall(train: Train, green: Green) -> None:
     """
     folder, _ = train(
         *SHORT, "refine.references.source=prior", "optim.steps=30", "refine.steps=100", "refine.lambda_rgb=0",
-        "refine.lambda_mask=0", "refine.densify=false", "optim.rates.opacity=0",
+        "refine.lambda_mask=0", "refine.densify=false", "optim.rates.opacity=0", *UNMEASURED,
     )  # fmt: skip
     before, after = (parameters(folder, stage)["gaussians.sh0"][:, 0, 1] for stage in ("optim", "refine"))
     moved = (after - before).sort(descending=True).values
@@ -186,7 +187,13 @@ def test_scaling_all_weights_changes_nothing(train: Train, monkeypatch: pytest.M
     The floor is lowered for the test: round Gaussians have gradients of their rotation as small as it.
     """
     monkeypatch.setattr("occfusion.stages.avatar.ADAM_EPS", 1e-18)
-    options = [*SHORT, "refine.densification.after_step=3", "refine.densification.every=4", "refine.steps=6"]
+    options = [
+        *SHORT,
+        "refine.densification.after_step=3",
+        "refine.densification.every=4",
+        "refine.steps=6",
+        *UNMEASURED,
+    ]
     # exact in binary, and large: round Gaussians turn by rounding alone, and squares under 1e-38 are 0 in float32
     weights = {
         "lambda_rgb": 2.0**20,
