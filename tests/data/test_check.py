@@ -133,6 +133,15 @@ def test_several_errors_are_all_said_at_once(scene, capsys):
         assert words in said, said
 
 
+def test_exchanged_cameras_are_named(scene, capsys):
+    rotations = scene.cams["R"]
+    rotations[0], rotations[1] = rotations[1], rotations[0]
+    writers.save_object(scene.folder / "annots.npy", scene.annots)
+    code, said = check(capsys, scene.folder)
+    assert code == 1 and "of cameras Camera_B1 and Camera_B13 are exchanged" in said
+    assert "body and mask fit in all" not in said and "overlap badly" not in said
+
+
 def test_doubts_matter_when_strict(scene, capsys):
     shutil.rmtree(scene.folder / "new_vertices")  # these would tell that the parameters are not theirs
     for frame in range(4):

@@ -19,8 +19,10 @@ def scene(tmp_path) -> TinyScene:
     return write_tiny_scene(tmp_path / "data with spaces é", frames=3)
 
 
-def validate(scene, **settings) -> None:
-    ZjuDataModule(scene.root, scene.name, scene.body, **{"occlusion": "none", **settings}).validate()
+def validate(scene, **settings) -> list[str]:
+    data = ZjuDataModule(scene.root, scene.name, scene.body, **{"occlusion": "none", **settings})
+    data.validate()
+    return data.findings
 
 
 def refused(scene, *words: str, **settings) -> str:
@@ -47,7 +49,7 @@ def change_body(scene, frame=1, **values) -> None:
 
 
 def test_the_scene_is_sound_before_it_is_broken(scene):
-    validate(scene)
+    assert validate(scene) == []
 
 
 def test_code_in_annots_is_refused_and_does_not_run(scene, tmp_path):

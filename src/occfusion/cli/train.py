@@ -27,8 +27,6 @@ NOT_IN_A_MULTIRUN = (
     "trainer.devices > 1 starts more processes with the same command line, which a multirun is not for; run the "
     "scenes one by one, or with one device each"
 )
-
-
 STOPPED = "stopped by SIGINT: the same command continues"
 
 
@@ -95,7 +93,11 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
                 config.trainer.enable_progress_bar = (
                     False  # lines of several processes would run into each other
                 )
-            job = _job_of_many(config, overrides, number, state, sweep)
+            try:
+                job = _job_of_many(config, overrides, number, state)
+            except KeyboardInterrupt:  # where nothing else answers the signal
+                record_job(sweep, JobRecord(number, " ".join(overrides), error=STOPPED, exit_code=130))
+                raise
             record_job(sweep, job)
             return answer(job, config.optimized_metric, is_asked=is_asked(settings.sweeper))
         job = _job(config, overrides, 0)
@@ -145,9 +147,7 @@ def _keys(arguments: Sequence[str]) -> list[str]:
     return [argument.partition("=")[0].lstrip("+~") for argument in arguments if "=" in argument]
 
 
-def _job_of_many(
-    config: DictConfig, overrides: list[str], number: int, state: _State, sweep: Path
-) -> JobRecord:
+def _job_of_many(config: DictConfig, overrides: list[str], number: int, state: _State) -> JobRecord:
     """Runs a job of a multirun; whatever happens to it, the others are not lost."""
     called = " ".join(overrides)
     if config.trainer.devices != 1:
@@ -159,9 +159,6 @@ def _job_of_many(
     except Exception as error:  # a fault of the program in one job: shown in full, the others go on
         traceback.print_exc()
         return JobRecord(number, called, error=f"{type(error).__name__}: {error}", exit_code=1)
-    except KeyboardInterrupt:  # where nothing else answers the signal; it is meant for the whole command
-        record_job(sweep, JobRecord(number, called, error=STOPPED, exit_code=130))
-        raise
     if job.exit_code > 128:  # a signal meant for the whole command
         state.stopped = "the jobs were stopped by a signal; the same command continues"
     return job

@@ -39,7 +39,7 @@ from occfusion.plan.decisions import (
     surface_decision,
 )
 from occfusion.settings.schema import Settings, stages_to_run
-from occfusion.settings.stages import AvatarSettings, HiddenSettings, SurfaceSettings
+from occfusion.settings.stages import LEAST_CROP, AvatarSettings, HiddenSettings, SurfaceSettings
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,9 @@ def _term_decisions(stage: str, settings: AvatarSettings, terms: tuple[str, ...]
         plan.append(Decision(f"loss term {name}{where}", weight > 0, f"{stage}.lambda_{name} = {weight:g}"))
         if name == "lpips" and weight:
             every, crop = settings.perceptual_every, settings.perceptual_crop
-            side = "a quarter of the picture's side" if crop is None else f"{crop} px"
+            side = (
+                f"a quarter of the picture's side, {LEAST_CROP} px at least" if crop is None else f"{crop} px"
+            )
             plan.append(
                 Decision(f"perceptual term at every step and on the whole person{where}",
                          every == 1 and crop is not None and crop >= 2048,

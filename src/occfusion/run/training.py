@@ -127,12 +127,7 @@ def fit(
         **trainer_options(devices),
     )
     with guard:
-        try:
-            trainer.fit(stage, batches, ckpt_path=earlier, weights_only=True)
-        except SystemExit:  # Lightning's answer to a SIGTERM that came while it prepared itself
-            if guard.received is None:
-                raise
-            raise Interrupted(guard.received, str(checkpoint)) from None
+        trainer.fit(stage, batches, ckpt_path=earlier, weights_only=True)
     if guard.received is not None and trainer.global_step < trainer.max_steps:
         raise Interrupted(guard.received, str(checkpoint))
     if trainer.global_step < trainer.max_steps and not chosen.fast_dev_run:

@@ -140,11 +140,8 @@ def predict_frames(
         accelerator="cpu", devices=1, logger=False, enable_checkpointing=False, enable_model_summary=False,
         enable_progress_bar=progress, callbacks=callbacks,
     )  # fmt: skip
-    frames = DataLoader(_Frames(read, positions, guard), batch_size=None)
     with guard:
-        try:
-            trainer.predict(stage, frames, return_predictions=False)
-        except SystemExit:  # Lightning's answer to a SIGTERM that came while it prepared itself
-            if guard.received is None:
-                raise
+        trainer.predict(
+            stage, DataLoader(_Frames(read, positions, guard), batch_size=None), return_predictions=False
+        )
     return guard.received

@@ -31,7 +31,8 @@ class SignalGuard(L.Callback):
     """Notes SIGINT and SIGTERM and asks the trainer to stop after the step under way.
 
     Used as a context around `Trainer.fit`, it takes the signals before the trainer prepares itself, for Lightning
-    answers SIGINT by exiting with 1; and it gives them back as they were, whatever the trainer did to them. A second
+    answers SIGINT by exiting with 1; and it gives them back as they were, whatever the trainer did to them. Where
+    Lightning would exit over a signal that is noted, it does not: whoever uses the guard looks at `received`. A second
     signal of the same kind ends the process at once.
     """
 
@@ -44,9 +45,10 @@ class SignalGuard(L.Callback):
         self._take()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> bool:
         for number, handler in self._before.items():
             signal.signal(number, handler)
+        return self.received is not None and kind is not None and issubclass(kind, SystemExit)
 
     def _take(self) -> None:
         for number in SIGNALS:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from occfusion.data.cameras import Lens
 from occfusion.data.checking import checks, overlap, survey
 from occfusion.data.checking.inspection import Finding, Inspection, guarded, listed, posed_bodies
-from occfusion.data.checking.overlap import LOW_OVERLAP, explain_misfit, find_exchange
+from occfusion.data.checking.overlap import LOW_OVERLAP, SUSPECT, explain_misfit, find_exchange
 from occfusion.data.checking.validation import JOINTS_INSIDE, MISSED
 from occfusion.data.outline_offsets import View
 from occfusion.data.registration import register
@@ -153,23 +153,19 @@ def inspect_other_cameras(inspection: Inspection) -> list[Finding]:
         if frame is None or not others:
             return
         vertices = inspection.poser.pose(inspection.bodies[frame])[0]
-        bad, seen = [], []
+        fits, seen = {}, []
         if inspection.camera in inspection.sound and frame in inspection.people:
             seen.append((inspection.view(frame), inspection.people[frame].whole.full()))
         for index in others:
             person = survey.read_person(inspection.scene, frame, index).whole
             seen.append((inspection.sound[index], person.full()))
-            fit = overlap.mask_overlap(vertices, *seen[-1])[0]
-            if not person.empty and fit < LOW_OVERLAP:
-                bad.append(inspection.sound[index].name)
-        if exchange := find_exchange([(vertices, seen)]) if bad else "":
-            yield Finding(
-                "error",
-                "other cameras",
-                f"frame {frame}: {exchange}",
-                "exchange them back in the camera file",
-            )
-        if bad:
+            if not person.empty:
+                fits[inspection.sound[index].name] = overlap.mask_overlap(vertices, *seen[-1])[0]
+        bad = [name for name, fit in fits.items() if fit < LOW_OVERLAP]
+        if any(fit < SUSPECT for fit in fits.values()) and (exchange := find_exchange([(vertices, seen)])):
+            text = f"frame {frame}: {exchange}"
+            yield Finding("error", "other cameras", text, "exchange them back in the camera file")
+        elif bad:
             text = (
                 f"body and mask overlap badly in {len(bad)} of {len(others)} in frame {frame}: {listed(bad)}"
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -18,6 +18,8 @@ PREVIEW = 128
 
 LOW_OVERLAP = 0.5
 """IoU of body and mask below which it is reported: a clothed person has 0.8 to 0.95."""
+SUSPECT = 0.65
+"""IoU below which a camera may have been exchanged with another."""
 
 
 def body_outline(
@@ -48,7 +50,10 @@ def mask_overlap(vertices: Array, camera: Calibration, mask: NDArray[np.bool_]) 
     Returns:
         The IoU, and the share of the mask that lies inside the body (high for partly hidden people too).
     """
-    person, body = preview(mask), body_outline(vertices, camera, mask.shape)
+    return _overlap(preview(mask), body_outline(vertices, camera, mask.shape))
+
+
+def _overlap(person: NDArray[np.bool_], body: NDArray[np.bool_]) -> tuple[float, float]:
     union, both = int((person | body).sum()), int((person & body).sum())
     return both / max(union, 1), both / max(int(person.sum()), 1)
 
@@ -137,24 +142,34 @@ def find_exchange(moments: Sequence[tuple[Array, Sequence[tuple[Calibration, NDA
             complete person that it saw, `[H, W]`.
     """
     shown = range(len(moments[0][1]) if moments else 0)
+    people = [[preview(mask) for _, mask in seen] for _, seen in moments]
 
-    def fit(own: int, other: int, taken: Callable[[Calibration, Calibration], Calibration]) -> float:
-        """Returns the mean IoU of a camera with what is taken of another; 0 where it saw nobody."""
-        views = [(body, taken(seen[own][0], seen[other][0]), seen[own][1]) for body, seen in moments]
-        scores = [mask_overlap(*view)[0] for view in views if view[2].any()]
-        return float(np.mean(scores)) if scores else 0.0
+    def fits(
+        own: int, other: int, taken: Callable[[Calibration, Calibration], Calibration]
+    ) -> Iterator[float]:
+        """Yields the IoU of a camera with what is taken of another, moment by moment that it saw somebody."""
+        for (vertices, seen), person in zip(moments, people, strict=True):
+            if person[own].any():
+                camera, mask = seen[own]
+                outline = body_outline(vertices, taken(camera, seen[other][0]), mask.shape)
+                yield _overlap(person[own], outline)[0]
 
-    read = [fit(k, k, lambda own, _: own) for k in shown]
+    read = {k: found for k in shown if (found := list(fits(k, k, lambda own, _: own)))}
+    suspects = [k for k, found in read.items() if np.mean(found) < SUSPECT]
     best, reason = 0.0, ""
-    for one, other in combinations([k for k in shown if 0 < read[k] < 1 - EXPLAINS], 2):
+    for pair in combinations(suspects, 2):
+        own = [float(np.mean(read[k])) for k in pair]
         for what, taken in EXCHANGES.items():
-            undone = fit(one, other, taken), fit(other, one, taken)
-            gain = min(undone[0] - read[one], undone[1] - read[other])
+            both = list(zip(pair, reversed(pair), strict=True))
+            # most are worse at the first moment already: of many cameras that all miss, few pairs are left
+            if any(next(fits(*each, taken)) < read[each[0]][0] for each in both):
+                continue
+            undone = [float(np.mean(list(fits(*each, taken)))) for each in both]
+            gain = min(after - before for before, after in zip(own, undone, strict=True))
             if min(undone) >= LOW_OVERLAP and gain >= EXPLAINS and sum(undone) > best:
-                best, names = sum(undone), [moments[0][1][k][0].name for k in (one, other)]
+                best, names = sum(undone), [moments[0][1][k][0].name for k in pair]
                 reason = (
                     f"{what} of cameras {names[0]} and {names[1]} are exchanged: as they are, body and mask have an "
-                    f"IoU of {read[one]:.2f} and {read[other]:.2f}, with each other's {undone[0]:.2f} and "
-                    f"{undone[1]:.2f}"
+                    f"IoU of {own[0]:.2f} and {own[1]:.2f}, with each other's {undone[0]:.2f} and {undone[1]:.2f}"
                 )
     return reason

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.data.checking import checks, overlap, survey
-from occfusion.data.checking.overlap import LOW_OVERLAP, explain_misfit, find_exchange
+from occfusion.data.checking.overlap import LOW_OVERLAP, SUSPECT, explain_misfit, find_exchange
 from occfusion.data.posing import Poser
 from occfusion.data.prepare import Prepared
 from occfusion.data.scene import Array, Calibration, Scene
@@ -28,9 +28,6 @@ FULL_MASK, TINY_MASK = 0.9, 0.002
 
 JOINTS_INSIDE = 0.6
 """Share of the joints inside the mask below which it is reported; embedded people have 0.87 to 1."""
-
-SUSPECT = 0.65
-"""IoU in a held-out camera below which it is tried whether two cameras were exchanged; a second or two of work."""
 
 MISSED = 0.1
 """Mean share of the mask inside the body below which the two cannot belong together."""
@@ -78,7 +75,7 @@ def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
 def _refuse_exchanged_cameras(prepared: Prepared, views: Views, poser: Poser) -> None:
     """Looks among all cameras of the scene, for the other one need not be one that the run reads."""
     scene, moments = prepared.scene, []
-    for frame in [prepared.train[k] for k in _spread(len(prepared.train))]:
+    for frame in [prepared.train[k] for k in _checked(len(prepared.train))]:
         seen = []
         for camera in range(len(scene.cameras)):
             try:
@@ -93,8 +90,8 @@ def _refuse_exchanged_cameras(prepared: Prepared, views: Views, poser: Poser) ->
         raise DataError(f"{scene.root}: {found}, mean of {len(moments)} frames. Exchange them back.")
 
 
-def _spread(count: int) -> list[int]:
-    """Returns the positions of a few of so many frames."""
+def _checked(count: int) -> list[int]:
+    """Returns the positions of a few of so many frames, the first and the last among them."""
     return sorted({int(k) for k in np.linspace(0, count - 1, CHECKED_FRAMES).round()})
 
 
@@ -152,7 +149,7 @@ def _check_height(vertices: Array, where: str) -> None:
 
 def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
     where, camera = str(prepared.scene.root), prepared.scene.calibration(prepared.camera)
-    positions = _spread(len(prepared.train))
+    positions = _checked(len(prepared.train))
     people = {prepared.train[k]: prepared.people[k].whole for k in positions}
     posed = {frame: poser.pose(views.parameters(frame)) for frame in people}
     masks = {frame: person.full() for frame, person in people.items()}
