@@ -12,16 +12,21 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
 
 from disturb_scene import disturb
 
 from occfusion.files.table import read_table, write_table
+from occfusion.synth.scene import Scene
+from occfusion.synth.spec import SceneSpec
+from occfusion.synth.writer import body_content, camera_annotations, save_object
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs/results"
@@ -48,11 +53,13 @@ class Case:
         names: values of the study's keys.
         overrides: what makes the run.
         errors: of `disturb_scene`, put into its input.
+        true_bodies: whether bodies and cameras are the true ones and not an estimator's.
     """
 
     names: tuple[str, ...]
     overrides: tuple[str, ...]
     errors: Mapping[str, float] = field(default_factory=dict)
+    true_bodies: bool = False
 
 
 @dataclass(frozen=True)
@@ -136,6 +143,26 @@ def inputs() -> Iterator[Case]:
             yield Case((scene, "frames", f"{100 // step}"), ("variant=E", override))
 
 
+AS_GIVEN = (
+    "optim.align_poses=false",
+    "optim.refine_pose=false",
+    "optim.pose_knots=0",
+    "optim.learn_skinning=false",
+)
+
+
+def poses() -> Iterator[Case]:
+    """With poses as they are given, as they are mended, and true; `clean` and `camera` show what mending costs."""
+    for subject, name in itertools.product(range(103, 109), ("hard", "wild")):
+        scene = f"{subject}-{name}"
+        yield Case((scene, "given"), ("variant=E", *AS_GIVEN))
+        yield Case((scene, "mended"), ("variant=E",))
+        yield Case((scene, "true"), ("variant=E", *AS_GIVEN), true_bodies=True)
+    for subject, name in itertools.product(range(103, 109), ("clean", "camera")):
+        yield Case((f"{subject}-{name}", "given"), ("variant=E", *AS_GIVEN))
+        yield Case((f"{subject}-{name}", "mended"), ("variant=E",))
+
+
 FULL = {"PSNR": "{psnr:.2f}", "ST-LPIPS x1000": "{lpips:.1f}", "mask IoU": "{mask_iou:.3f}"}
 HIDDEN = {"hidden parts": "{hidden_psnr:.2f} / {hidden_lpips:.1f}"}
 UNSEEN = {"in no frame": "{unseen_psnr:.2f} / {unseen_lpips:.1f}"}
@@ -156,6 +183,10 @@ STUDIES = {
         lambda row: (level(row), f"`{row['variant']}`"),
         ("poses", "variant"), FULL | HIDDEN | UNSEEN | SECONDS,
     ),
+    "poses": Study(
+        "# Poses as given, mended and true", 128, ("scene", "poses"), poses,
+        lambda row: (level(row), row["poses"]), ("level", "poses"), FULL | HIDDEN | SECONDS,
+    ),
     "input": Study(
         "# Error against the error of the input", 128, ("scene", "error", "amount"), inputs,
         lambda row: (row["error"], row["amount"]),
@@ -164,12 +195,35 @@ STUDIES = {
 }  # fmt: skip
 
 
-def scene_folder(work: Path, size: int, scene: str, errors: Mapping[str, float]) -> Path:
-    """Returns a folder of scenes that holds this one, with these errors; made once."""
+def put_true_bodies(folder: Path, size: int) -> None:
+    """Puts the true bodies and cameras in place of an estimator's in a copy of an embedded scene."""
+    scene = Scene(replace(SceneSpec.parse(folder.name.removesuffix(".partial")), image_size=size, cameras=8))
+    scene.disk_betas, scene.disk_take, scene.disk_cameras = scene.subject.betas, scene.take, scene.cameras
+    (folder / "scene.json").unlink()  # it is not that scene any more
+    shutil.rmtree(folder / "new_vertices")
+    files = [(folder / "annots.npy", camera_annotations(scene))]
+    for frame in range(scene.spec.frames):
+        files.append((folder / "new_params" / f"{frame}.npy", body_content(scene.parameters(frame))))
+    for path, content in files:
+        path.unlink()
+        save_object(path, content)
+
+
+def scene_folder(work: Path, size: int, case: Case) -> Path:
+    """Returns a folder of scenes that holds a case's, with its errors; made once."""
+    scene, errors = case.names[0], case.errors
     whole = work / f"scenes-{size}"
     if not (whole / scene).is_dir():
         made = ["synth", str(whole), "--scene", scene, "--size", str(size), "--cameras", "8"]
         subprocess.run([sys.executable, "-m", "occfusion", *made], check=True)
+    if case.true_bodies:
+        true = work / f"true-{size}"
+        if not (true / scene).is_dir():
+            partial = true / f"{scene}.partial"
+            shutil.copytree(whole / scene, partial, copy_function=os.link)
+            put_true_bodies(partial, size)
+            partial.rename(true / scene)
+        return true
     if not errors:
         return whole
     off = work / f"off-{size}" / "-".join(f"{name}{amount:g}" for name, amount in errors.items())
@@ -186,7 +240,7 @@ def measure(work: Path, size: int, case: Case, name: str) -> Row:
         CalledProcessError: the run failed.
     """
     scene, folder = case.names[0], work / "runs" / name
-    data = scene_folder(work, size, scene, case.errors)
+    data = scene_folder(work, size, case)
     options = (
         "dataset=zju", f"dataset.root={data}", f"dataset.scene={scene}", f"dataset.image_size={size}",
         "body=smpl", f"body.path={data / scene / 'body.npz'}", f"output_dir={folder}", f"shared_dir={work / 'shared'}",

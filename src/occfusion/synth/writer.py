@@ -33,7 +33,7 @@ from occfusion.errors import DataError
 from occfusion.files.lock import only_one
 from occfusion.synth.fullbody import asset_bytes
 from occfusion.synth.manifest import is_current, write_manifest
-from occfusion.synth.scene import Scene, Shot
+from occfusion.synth.scene import Parameters, Scene, Shot
 from occfusion.synth.spec import SceneSpec
 
 PNG_COMPRESSION = 3  # masks are small at any level; higher ones only take longer
@@ -89,7 +89,7 @@ def _write_all(folder: Path, scene: Scene, progress: bool) -> None:
     for part in ("new_params", "new_vertices"):
         (folder / part).mkdir()
     (folder / "body.npz").write_bytes(asset_bytes("free_body.npz"))
-    _save_object(folder / "annots.npy", _annotations(scene))
+    save_object(folder / "annots.npy", camera_annotations(scene))
     frames = range(scene.spec.frames)
     threads = min(usable_cores(), MAX_THREADS, len(frames))
     with _bar(scene.spec, progress) as advance, ThreadPoolExecutor(threads) as pool:
@@ -111,13 +111,7 @@ def _parts(scene: Scene) -> list[str]:
 
 def _write_frame(folder: Path, scene: Scene, frame: int) -> None:
     parameters = scene.parameters(frame)
-    content = {
-        "poses": parameters.poses[None].astype(np.float32),
-        "Rh": parameters.Rh[None].astype(np.float32),
-        "Th": parameters.Th[None].astype(np.float32),
-        "shapes": parameters.shapes[None].astype(np.float32),
-    }
-    _save_object(folder / "new_params" / f"{frame}.npy", content)
+    save_object(folder / "new_params" / f"{frame}.npy", body_content(parameters))
     np.save(folder / "new_vertices" / f"{frame}.npy", parameters.vertices.astype(np.float32))
     for camera, shot in zip(scene.cameras, scene.shots(frame), strict=True):
         _write_shot(folder, f"{camera.name}/{frame:06d}", shot, scene.jpeg_quality)
@@ -131,7 +125,18 @@ def _write_shot(folder: Path, name: str, shot: Shot, quality: int) -> None:
         _save_mask(folder / "mask_complete" / f"{name}.png", shot.mask_complete)
 
 
-def _annotations(scene: Scene) -> dict[str, Any]:
+def body_content(parameters: Parameters) -> dict[str, Any]:
+    """Returns what a file of `new_params` holds."""
+    return {
+        "poses": parameters.poses[None].astype(np.float32),
+        "Rh": parameters.Rh[None].astype(np.float32),
+        "Th": parameters.Th[None].astype(np.float32),
+        "shapes": parameters.shapes[None].astype(np.float32),
+    }
+
+
+def camera_annotations(scene: Scene) -> dict[str, Any]:
+    """Returns what `annots.npy` holds: the calibration and the names of the pictures."""
     cameras = scene.disk_cameras
     return {
         "cams": {
@@ -145,7 +150,7 @@ def _annotations(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _save_object(path: Path, content: dict[str, Any]) -> None:
+def save_object(path: Path, content: dict[str, Any]) -> None:
     """Writes a dict as the data set does: a pickled object array. It is only ever read with an allow-list."""
     box = np.empty((), dtype=object)
     box[()] = content
