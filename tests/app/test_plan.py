@@ -406,12 +406,28 @@ def test_colours_are_completed_where_much_of_the_body_is_unseen(overrides, unsee
     assert any(line.startswith("completed colours: ") for line in plan.lines()) is completes
 
 
-def test_the_crop_of_the_perceptual_term_follows_the_size_of_the_pictures() -> None:
-    asked = settings_of()
-    assert [asked.refine.crop_side(size) for size in (96, 256, 512, 1024)] == [64, 64, 128, 256]
-    assert settings_of("refine.perceptual_crop=40").refine.crop_side(512) == 40
-    plan = used(asked, frames(*[0.5] * 12))
-    assert not plan["perceptual term at every step and on the whole person in refine"]
+def test_the_perceptual_term_of_the_refinement_begins_at_half_of_its_steps() -> None:
+    asked, hidden = settings_of(), frames(*[0.5] * 12)
+    assert asked.refine.first_perceptual_step == asked.refine.steps / 2
+    plan = planning.make_plan(asked, SUMMARY, "torch", hidden)
+    decisions = {d.part: d for d in plan.decisions}
+    schedule = decisions["perceptual term at every step and on the whole person in refine"]
+    assert not schedule.used and "from step 900 of 1800 on" in schedule.reason
+    assert plan.settings.refine.lambda_lpips and not plan.settings.optim.lambda_lpips
     assert used(settings_of("recipe=paper"), None)[
         "perceptual term at every step and on the whole person in refine"
     ]
+
+
+def test_a_perceptual_term_whose_first_step_is_never_reached_is_left_out_and_the_stage_before_keeps_its_own() -> (
+    None
+):
+    plan = planning.make_plan(settings_of("trainer.max_steps=900"), SUMMARY, "torch", frames(*[0.5] * 12))
+    term = {d.part: d for d in plan.decisions}["loss term lpips in refine"]
+    assert (
+        not term.used and "refine.perceptual_from = 0.5 begins at step 900, and 900 are taken" in term.reason
+    )
+    assert not plan.settings.refine.lambda_lpips
+    assert plan.settings.optim.lambda_lpips == 1e3
+    longer = planning.make_plan(settings_of("trainer.max_steps=901"), SUMMARY, "torch", frames(*[0.5] * 12))
+    assert longer.settings.refine.lambda_lpips == 0.1

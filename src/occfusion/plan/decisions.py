@@ -167,14 +167,24 @@ def network_decisions(
     return [replace(d, used=d.used and misfit >= FITTING, reason=f"{d.reason}; {shown}") for d in decisions]
 
 
-def is_perceptual_term_deferred(settings: Settings) -> bool:
+def perceptual_decision(stage: str, settings: AvatarSettings, steps: int) -> Decision:
+    """Returns whether a stage has a perceptual term: where it has a weight and one of the steps is due."""
+    part = "loss term lpips" + ("" if stage == "optim" else f" in {stage}")
+    weight, first = settings.lambda_lpips, settings.first_perceptual_step
+    reason = f"{stage}.lambda_lpips = {weight:g}"
+    if weight and first >= steps:
+        share = settings.perceptual_from
+        reason += f"; {stage}.perceptual_from = {share:g} begins at step {first}, and {steps} are taken"
+    return Decision(part, weight > 0 and first < steps, reason)
+
+
+def is_perceptual_term_deferred(settings: Settings, refined: Decision) -> bool:
     """Returns whether the optimisation goes without its perceptual term, as the refinement that follows has one.
 
     The end of the refinement is the same (docs/experiments/004-leaving-out.md), and the term is half of what the
-    optimisation costs.
+    optimisation costs. `refined` says whether the refinement has one.
     """
-    both = min(settings.optim.lambda_lpips, settings.refine.lambda_lpips) > 0
-    return both and _may_leave_out(settings)
+    return settings.optim.lambda_lpips > 0 and refined.used and _may_leave_out(settings)
 
 
 def start_decision(settings: Settings) -> Decision:

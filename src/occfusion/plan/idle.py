@@ -97,7 +97,7 @@ def _of_stage(
         yield f"{stage}.densification", f"nothing is densified; {why}"
     if not planned.lambda_lpips:
         why = reasons.get(f"loss term lpips{where}", f"{stage}.lambda_lpips = 0")
-        for name in ("perceptual_every", "perceptual_crop"):
+        for name in ("perceptual_every", "perceptual_from", "perceptual_crop"):
             yield f"{stage}.{name}", f"the stage has no perceptual term; {why}"
         if asked.lambda_lpips:
             yield f"{stage}.lambda_lpips", why

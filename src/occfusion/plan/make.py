@@ -32,6 +32,7 @@ from occfusion.plan.decisions import (
     key_light_decision,
     mask_decision,
     network_decisions,
+    perceptual_decision,
     registration_decision,
     sds_decisions,
     stage_decisions,
@@ -39,7 +40,7 @@ from occfusion.plan.decisions import (
     surface_decision,
 )
 from occfusion.settings.schema import Settings, stages_to_run
-from occfusion.settings.stages import LEAST_CROP, AvatarSettings, HiddenSettings, SurfaceSettings
+from occfusion.settings.stages import AvatarSettings, HiddenSettings, SurfaceSettings
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,11 @@ def make_plan(
     is_refined = "refine" in running
     inpainting = inpainting_decision(settings, observed_frames)
     hidden = hidden_policies(settings, observed_frames, alignment)
-    is_deferred = is_perceptual_term_deferred(settings)
+    perceptual = perceptual_decision("optim", optim, steps_of(settings, optim))
+    refined_perceptual = perceptual_decision("refine", refine, steps_of(settings, refine))
+    if is_perceptual_term_deferred(settings, refined_perceptual):
+        deferred = f"{perceptual.reason}; the refinement that follows has it, and ends the same"
+        perceptual = replace(perceptual, used=False, reason=deferred)
     distillation = sds_decisions(settings, observed_frames)
     networks = network_decisions(settings, observed_frames, alignment)
     lamp = key_light_decision(settings, key_light)
@@ -137,20 +142,16 @@ def make_plan(
     rounds = densification_decision("optim", optim, steps_of(settings, optim))
     refined_rounds = densification_decision("refine", refine, steps_of(settings, refine))
     effective = _effective(
-        settings, hidden, is_deferred, distillation, networks, lamp, start, completed, closed, refined_closed, rounds,
-        refined_rounds,
+        settings, hidden, perceptual, refined_perceptual, distillation, networks, lamp, start, completed, closed,
+        refined_closed, rounds, refined_rounds,
     )  # fmt: skip
 
     plan = [registration_decision(registered), *stages, mask_decision(settings, observed_frames), inpainting]
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
-    plan += _term_decisions("optim", optim, ("rgb", "mask", "ssim"))
+    plan += _weight_decisions("optim", optim, ("rgb", "mask", "ssim"))
     plan.append(hidden_mask_decision("optim", settings, hidden[0], observed_frames, alignment))
-    if is_deferred:
-        reason = f"optim.lambda_lpips = {optim.lambda_lpips:g}; the refinement that follows has it, and ends the same"
-        plan.append(Decision("loss term lpips", False, reason))
-    else:
-        plan += _term_decisions("optim", optim, ("lpips",))
+    plan += [perceptual, *_perceptual_schedule("optim", optim, perceptual)]
     plan += distillation
     highest = refined_sh_degree(settings) if is_refined else reached_sh_degree(settings)
     plan.append(
@@ -162,10 +163,11 @@ def make_plan(
     plan.append(Decision("colours of the video at the start", optim.observed_colors, reason))
     plan += [completed, closed, rounds]
     if is_refined:
-        plan += _term_decisions("refine", refine, ("rgb", "mask"))
+        plan += _weight_decisions("refine", refine, ("rgb", "mask"))
         plan.append(hidden_mask_decision("refine", settings, hidden[1], observed_frames, alignment))
         plan.append(generated_decision(settings, observed_frames))
-        plan += _term_decisions("refine", refine, ("ssim", "lpips"))
+        plan += _weight_decisions("refine", refine, ("ssim",))
+        plan += [refined_perceptual, *_perceptual_schedule("refine", refine, refined_perceptual)]
         plan += [refined_closed, refined_rounds]
     plan.append(Decision("pixels outside the person's padded box", False, box_reason(observed_frames)))
     plan.append(Decision(f"rasteriser backend {backend}", True, f"rasterizer={settings.rasterizer.name}"))
@@ -176,7 +178,8 @@ def make_plan(
 def _effective(
     settings: Settings,
     hidden: tuple[HiddenSettings, HiddenSettings],
-    is_deferred: bool,
+    perceptual: Decision,
+    refined_perceptual: Decision,
     distillation: Sequence[Decision],
     networks: Sequence[Decision],
     lamp: Decision,
@@ -207,12 +210,13 @@ def _effective(
         unseen_colors="prior" if completed.used else "nearest",
         key_light=lamp.used,
         densify=rounds.used,
-        lambda_lpips=0.0 if is_deferred else asked.lambda_lpips,
+        lambda_lpips=asked.lambda_lpips if perceptual.used else 0.0,
         surface=asked.surface if closed.used else NO_SURFACE,
     )
     refine = replace(
         settings.refine,
         hidden=hidden[1],
+        lambda_lpips=settings.refine.lambda_lpips if refined_perceptual.used else 0.0,
         densify=refined_rounds.used,
         surface=settings.refine.surface if refined_closed.used else NO_SURFACE,
     )
@@ -248,21 +252,25 @@ def steps_of(settings: Settings, stage: AvatarSettings) -> int:
     return stage.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
 
 
-def _term_decisions(stage: str, settings: AvatarSettings, terms: tuple[str, ...]) -> list[Decision]:
-    """Returns the decisions on a stage's loss terms; those of `optim` go by their names alone."""
+def _weight_decisions(stage: str, settings: AvatarSettings, terms: tuple[str, ...]) -> list[Decision]:
+    """Returns whether loss terms have a weight; those of `optim` go by their names alone."""
     where = "" if stage == "optim" else f" in {stage}"
-    plan = []
-    for name in terms:
-        weight = getattr(settings, f"lambda_{name}")
-        plan.append(Decision(f"loss term {name}{where}", weight > 0, f"{stage}.lambda_{name} = {weight:g}"))
-        if name == "lpips" and weight:
-            every, crop = settings.perceptual_every, settings.perceptual_crop
-            side = (
-                f"a quarter of the picture's side, {LEAST_CROP} px at least" if crop is None else f"{crop} px"
-            )
-            plan.append(
-                Decision(f"perceptual term at every step and on the whole person{where}",
-                         every == 1 and crop is not None and crop >= 2048,
-                         f"every {every} steps on a random crop of {side}: it costs more than all else together")
-            )  # fmt: skip
-    return plan
+    weights = {name: getattr(settings, f"lambda_{name}") for name in terms}
+    return [
+        Decision(f"loss term {name}{where}", weight > 0, f"{stage}.lambda_{name} = {weight:g}")
+        for name, weight in weights.items()
+    ]
+
+
+def _perceptual_schedule(stage: str, settings: AvatarSettings, term: Decision) -> list[Decision]:
+    """Returns at which steps a perceptual term looks at what, where a stage has one."""
+    if not term.used:
+        return []
+    where = "" if stage == "optim" else f" in {stage}"
+    every, crop, first = settings.perceptual_every, settings.perceptual_crop, settings.first_perceptual_step
+    since = f", from step {first} of {settings.steps} on" if first else ""
+    return [
+        Decision(f"perceptual term at every step and on the whole person{where}",
+                 every == 1 and crop >= 2048 and not first,
+                 f"every {every} steps on a random crop of {crop} px{since}: it costs more than all else together")
+    ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from occfusion.errors import ConfigError
@@ -216,10 +217,6 @@ class SurfaceSettings:
         return self.outline > 0 or self.backface > 0
 
 
-LEAST_CROP = 64
-"""Pixels: as good as twice that at 256 px; its network halves a window four times."""
-
-
 @dataclass
 class AvatarSettings:
     """What the stages that train an avatar have in common: weights, schedules and rates.
@@ -238,10 +235,8 @@ class AvatarSettings:
     perceptual_every: int = setting(
         8, "steps from one perceptual term to the next, which then has that many times the weight", 1, 10_000
     )
-    perceptual_crop: int | None = setting(
-        128, f"side of its random crop, pixels; null: a quarter of the picture's longer side, {LEAST_CROP} at least",
-        32, 2048,
-    )  # fmt: skip
+    perceptual_from: float = setting(0.0, "share of the stage's steps before its first", 0, 1)
+    perceptual_crop: int = setting(128, "side of its random crop, pixels", 32, 2048)
     hidden: HiddenSettings = field(default_factory=HiddenSettings)
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     sh_degree: int = setting(1, "highest band of spherical harmonics", 0, 3)
@@ -253,9 +248,10 @@ class AvatarSettings:
         1.0, "factor on all rates at the stage's last step, reached exponentially; 1: none", 0, 1
     )
 
-    def crop_side(self, size: int) -> int:
-        """Returns the side of the perceptual term's crop for pictures of this longer side, pixels."""
-        return max(size // 4, LEAST_CROP) if self.perceptual_crop is None else self.perceptual_crop
+    @property
+    def first_perceptual_step(self) -> int:
+        """The first step that may have the perceptual term."""
+        return math.ceil(self.perceptual_from * self.steps)
 
     def term_weights(self) -> dict[str, float]:
         """Returns the weight of each loss term, by its name."""
@@ -354,7 +350,7 @@ class RefineSettings(AvatarSettings):
     lambda_ssim: float = with_default(AvatarSettings, "lambda_ssim", 0.2)
     lambda_lpips: float = with_default(AvatarSettings, "lambda_lpips", 0.1)
     perceptual_every: int = with_default(AvatarSettings, "perceptual_every", 16)
-    perceptual_crop: int | None = with_default(AvatarSettings, "perceptual_crop", None)
+    perceptual_from: float = with_default(AvatarSettings, "perceptual_from", 0.5)
     densify: bool = with_default(AvatarSettings, "densify", True)
     densification: Densification = field(
         default_factory=lambda: Densification(

@@ -156,14 +156,15 @@ class AvatarStage(Stage):
 
     def perceptual_due(self) -> PerceptualMetric | None:
         """Returns the perceptual metric at the steps that have its term."""
-        perceptual = self._perceptual[0]
-        return None if self.global_step % self._schedule.perceptual_every else perceptual
+        settings = self._schedule
+        if self.global_step < settings.first_perceptual_step or self.global_step % settings.perceptual_every:
+            return None
+        return self._perceptual[0]
 
-    def perceptual_box(self, mask: Tensor, camera: Camera) -> Box:
-        """Returns this step's random crop of a picture about a mask, in the coordinates of the mask."""
+    def perceptual_box(self, mask: Tensor) -> Box:
+        """Returns this step's random crop about a mask, in the coordinates of the mask."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
-        side = self._schedule.crop_side(max(camera.width, camera.height))
-        return random_crop_box(mask, side, generator)
+        return random_crop_box(mask, self._schedule.perceptual_crop, generator)
 
     # -- optimiser, schedules, densification ------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.distil import Distiller
 from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import Target, UncertainMasks, crop_frame, mask_weights
-from occfusion.types import Box, Camera, Frame, Rendering
+from occfusion.types import Box, Frame, Rendering
 
 
 class OptimStage(AvatarStage):
@@ -63,14 +63,12 @@ class OptimStage(AvatarStage):
     def terms(self, frame: Frame, rendering: Rendering, box: Box) -> dict[str, Tensor]:
         """Returns the terms of paper §4.2: photometric ones and, with a distiller, that of the prior."""
         weights = mask_weights(frame, box, self.uncertain, self.settings.hidden.effective_weight)
-        terms = self._photometric(rendering, crop_frame(frame, box), weights, frame.camera)
+        terms = self._photometric(rendering, crop_frame(frame, box), weights)
         if self.distiller is not None:
             terms |= self.distiller.terms(self.avatar, frame, rendering.alpha, box, self.global_step)
         return terms
 
-    def _photometric(
-        self, rendering: Rendering, target: Target, weights: Tensor | None, camera: Camera
-    ) -> dict[str, Tensor]:
+    def _photometric(self, rendering: Rendering, target: Target, weights: Tensor | None) -> dict[str, Tensor]:
         settings = self.settings
         everywhere = settings.pixels == "all"
         pixels = ones_like(target.visible_mask) if everywhere else target.visible_mask
@@ -80,7 +78,7 @@ class OptimStage(AvatarStage):
         if (perceptual := self.perceptual_due()) is not None:
             # outside the visible pixels both pictures are black
             rgb = rendering.rgb if everywhere else rendering.rgb * pixels[..., None]
-            box = self.perceptual_box(target.visible_mask, camera)
+            box = self.perceptual_box(target.visible_mask)
             terms["lpips"] = perceptual(crop(rgb, box), crop(target.rgb, box))
         return terms
 

@@ -85,7 +85,7 @@ class RefineStage(AvatarStage):
         if settings.references.weight and reference is not None:
             terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)
         if (perceptual := self.perceptual_due()) is not None:
-            window = self.perceptual_box(looked_at, frame.camera)
+            window = self.perceptual_box(looked_at)
             # black elsewhere in both
             shown, wanted = (crop(picture * looked_at[..., None], window) for picture in (rgb, wanted))
             terms["lpips"] = perceptual(shown, wanted)
