@@ -269,8 +269,9 @@ def _perceptual_schedule(stage: str, settings: AvatarSettings, term: Decision) -
     where = "" if stage == "optim" else f" in {stage}"
     every, crop, first = settings.perceptual_every, settings.perceptual_crop, settings.first_perceptual_step
     since = f", from step {first} of {settings.steps} on" if first else ""
+    window = "the whole picture" if crop is None else f"a random crop of {crop} px"
     return [
         Decision(f"perceptual term at every step and on the whole person{where}",
-                 every == 1 and crop >= 2048 and not first,
-                 f"every {every} steps on a random crop of {crop} px{since}: it costs more than all else together")
+                 every == 1 and crop is None and not first,
+                 f"every {every} steps on {window}{since}: it costs more than all else together")
     ]  # fmt: skip

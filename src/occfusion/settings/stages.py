@@ -236,7 +236,9 @@ class AvatarSettings:
         8, "steps from one perceptual term to the next, which then has that many times the weight", 1, 10_000
     )
     perceptual_from: float = setting(0.0, "share of the stage's steps before its first", 0, 1)
-    perceptual_crop: int = setting(128, "side of its random crop, pixels", 32, 2048)
+    perceptual_crop: int | None = setting(
+        128, "side of its random crop, pixels; null: the whole picture", 32, 2048
+    )
     hidden: HiddenSettings = field(default_factory=HiddenSettings)
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     sh_degree: int = setting(1, "highest band of spherical harmonics", 0, 3)

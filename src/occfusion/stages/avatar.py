@@ -164,7 +164,8 @@ class AvatarStage(Stage):
     def perceptual_box(self, mask: Tensor) -> Box:
         """Returns this step's random crop about a mask, in the coordinates of the mask."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
-        return random_crop_box(mask, self._schedule.perceptual_crop, generator)
+        side = self._schedule.perceptual_crop
+        return random_crop_box(mask, max(mask.shape) if side is None else side, generator)
 
     # -- optimiser, schedules, densification ------------------------------------------------------------------
 
