@@ -55,6 +55,39 @@ def test_gradients_are_those_of_the_plain_terms(size, kind):
     )
 
 
+@pytest.mark.parametrize("margin", [1, 3])
+def test_ssim_stays_within_the_mask_and_l1_does_not(margin):
+    a, b, mask = pictures(40, 31)
+    mask = torch.zeros_like(mask)
+    mask[5:30, 4:] = True  # to the picture's border, which is no edge of the mask
+    inner = torch.zeros_like(mask)
+    inner[5 + margin : 30 - margin, 4 + margin :] = True
+    assert torch.equal(losses.within(mask, margin), inner)
+    black, inside = inner[..., None].numpy(), inner.numpy()
+    similarity = oracle.ssim_map(a.double().numpy() * black, b.double().numpy() * black)
+    ours, exact = a.clone().requires_grad_(), a.double().requires_grad_()
+    for x, compiled in ((ours, True), (exact, False)):
+        l1, ssim = losses.l1_and_ssim(x, b.to(x.dtype), mask, margin, compiled=compiled)
+        assert l1.item() == pytest.approx(float((a - b).abs()[mask].mean()), abs=1e-6)
+        assert float(ssim) == pytest.approx(1 - similarity[inside].mean(), abs=2e-6)
+        (3 * l1 + 2 * ssim).backward()
+    assert ours.grad is not None and exact.grad is not None
+    bound = 2e-5 * float(exact.grad.abs().max())
+    torch.testing.assert_close(ours.grad.double(), exact.grad, rtol=0, atol=bound)
+
+
+@pytest.mark.parametrize("margin", [0, 1, 2])
+def test_within_is_what_a_slow_search_for_the_nearest_edge_says(margin):
+    _, _, mask = pictures(17, 12)
+    mask |= torch.rand(17, 12, generator=torch.Generator().manual_seed(1)) > 0.1
+    outside = (~mask).nonzero()
+    slow = mask.clone()
+    for y, x in mask.nonzero().tolist():
+        slow[y, x] = int((outside - torch.tensor([y, x])).abs().amax(dim=1).min()) > margin
+    assert torch.equal(losses.within(mask, margin), slow)
+    assert losses.within(torch.ones(4, 4, dtype=torch.bool), margin).all()
+
+
 def test_the_gradient_is_the_slope_of_the_value():
     a, b, mask = pictures(14, 17)
     x = a.clone().requires_grad_()

@@ -226,10 +226,19 @@ class Avatar(nn.Module):
 
     def _offsets(self, betas: Tensor, rotations: Tensor) -> Tensor:
         """Returns the blend shapes of this shape and pose minus those of the canonical body, `[N, 3]`."""
-        offsets = self.body.shapedirs[:, :, : len(betas)] @ betas
+        if self.body.posedirs is None and not betas.requires_grad:
+            # a video has one shape
+            key = (self._rows_key(), tuple(betas.tolist()))
+            return self._memo.get(
+                "shape", key, lambda: self._shape_offsets(betas)[self.gaussians.vertex_index]
+            )
+        offsets = self._shape_offsets(betas)
         if self.body.posedirs is not None:
             offsets = offsets + (self.body.pose_offsets(rotations) - self.da_offsets)
         return offsets[self.gaussians.vertex_index]
+
+    def _shape_offsets(self, betas: Tensor) -> Tensor:
+        return self.body.shapedirs[:, :, : len(betas)] @ betas
 
     # -- skinning weights, and when they are computed -------------------------------------------------------
 

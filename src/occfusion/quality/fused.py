@@ -24,51 +24,54 @@ STATISTICS = 2
 """Sums of a channel: of absolute differences, and of 1 - SSIM."""
 
 
-def l1_and_ssim(a: Tensor, b: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns the mean absolute difference and the mean of 1 - SSIM over the pixels of a mask and all channels.
+def l1_and_ssim(a: Tensor, b: Tensor, mask: Tensor, inner: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns the mean absolute difference and the mean of 1 - SSIM over the pixels of masks and all channels.
 
-    Pixels outside the mask count for neither, and SSIM's windows see them as black. Only `a` gets a gradient.
+    Pixels outside of both masks count for neither. Only `a` gets a gradient.
 
     Args:
         a: `[H, W, C]`, 0..1, float32 on a CPU.
         b: the same shape.
-        mask: bool `[H, W]`.
+        mask: of the first, bool `[H, W]`.
+        inner: of SSIM, whose windows see what is outside of it as black, bool `[H, W]`.
     """
-    both: tuple[Tensor, Tensor] = _L1AndSsim.apply(a, b, mask)
+    both: tuple[Tensor, Tensor] = _L1AndSsim.apply(a, b, mask, inner)
     return both
 
 
 def warm_up() -> None:
     """Compiles the kernel, or loads it from the cache: by two tiny pictures."""
     shown, wanted = torch.zeros(2, 2, 2, 3)
-    torch.autograd.backward(l1_and_ssim(shown.requires_grad_(), wanted, torch.ones(2, 2, dtype=torch.bool)))
+    whole = torch.ones(2, 2, dtype=torch.bool)
+    torch.autograd.backward(l1_and_ssim(shown.requires_grad_(), wanted, whole, whole))
 
 
 class _L1AndSsim(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, a: Tensor, b: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(ctx: Any, a: Tensor, b: Tensor, mask: Tensor, inner: Tensor) -> tuple[Tensor, Tensor]:
         height, width, channels = a.shape
         needed = bool(ctx.needs_input_grad[0])
         by_l1, by_ssim = (np.empty(a.shape if needed else (0, 0, 0), np.float32) for _ in range(2))
         sums = np.zeros((channels, STATISTICS))
         if a.numel():
             run_parts(
-                _channels, a.detach().numpy(), b.detach().numpy(), mask.numpy(),
+                _channels, a.detach().numpy(), b.detach().numpy(), mask.numpy(), inner.numpy(),
                 *(_padded(window(length)) for length in (height, width)), sums, by_l1, by_ssim, needed,
             )  # fmt: skip
-        count = max(int(mask.sum()) * channels, 1)
+        counts = [max(int(pixels.sum()) * channels, 1) for pixels in (mask, inner)]
         if needed:
             ctx.save_for_backward(torch.from_numpy(by_l1), torch.from_numpy(by_ssim))
-        ctx.count = count
-        l1, ssim = (sums.sum(axis=0) / count).tolist()
+        ctx.counts = counts
+        l1, ssim = (sums.sum(axis=0) / counts).tolist()
         return a.new_tensor(l1), a.new_tensor(ssim)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, for_l1: Tensor, for_ssim: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, for_l1: Tensor, for_ssim: Tensor) -> tuple[Tensor, None, None, None]:
         by_l1, by_ssim = ctx.saved_tensors
-        total = by_l1.mul_(for_l1 / ctx.count)
-        return total.add_(by_ssim * (for_ssim / ctx.count)), None, None
+        of_l1, of_ssim = ctx.counts
+        total = by_l1.mul_(for_l1 / of_l1)
+        return total.add_(by_ssim * (for_ssim / of_ssim)), None, None, None
 
 
 def _padded(weights: NDArray[np.float64]) -> Plane:
@@ -102,6 +105,7 @@ def _channels(
     a: Plane,
     b: Plane,
     mask: NDArray[np.bool_],
+    inner: NDArray[np.bool_],
     rows: Plane,
     columns: Plane,
     sums: NDArray[np.float64],
@@ -124,16 +128,18 @@ def _channels(
     for channel in range(part, channels, parts):
         for y in range(height):
             for x in range(width):
-                p = a[y, x, channel] if mask[y, x] else np.float32(0)
-                q = b[y, x, channel] if mask[y, x] else np.float32(0)
-                total, difference = p + q, p - q
+                p, q = a[y, x, channel], b[y, x, channel]
+                difference = p - q if mask[y, x] else np.float32(0)
+                sums[channel, 0] += abs(difference)
+                if needed:
+                    by_l1[y, x, channel] = np.sign(difference)
+                total, difference = np.float32(0), np.float32(0)
+                if inner[y, x]:
+                    total, difference = p + q, p - q
                 planes[0, y + HALF, x + HALF] = total
                 planes[1, y + HALF, x + HALF] = difference
                 planes[2, y + HALF, x + HALF] = total * total
                 planes[3, y + HALF, x + HALF] = difference * difference
-                sums[channel, 0] += abs(difference)
-                if needed:
-                    by_l1[y, x, channel] = np.sign(difference)
         for plane in planes:
             for y in range(HALF, HALF + height):
                 for k in range(1, reach_x + 1):
@@ -144,13 +150,13 @@ def _channels(
                 plane[HALF + height - 1 + k] = plane[HALF + height - 1 - k]
         by_moments[:] = 0
         for y in range(height):
-            if not mask[y].any():
+            if not inner[y].any():
                 continue
             for j in range(4):
                 _down(planes[j], rows, y, blurred)
                 _across(blurred, columns, moments[j])
             for x in range(width):
-                if not mask[y, x]:
+                if not inner[y, x]:
                     continue
                 mean_total, mean_difference = moments[0, x], moments[1, x]
                 total2, difference2 = mean_total * mean_total, mean_difference * mean_difference
@@ -176,7 +182,7 @@ def _channels(
         # the transpose of the blur: spread everywhere, then fold what fell on the mirrored border back
         spread[:] = 0
         for y in range(height):
-            if not mask[y].any():
+            if not inner[y].any():
                 continue
             for j in range(3):
                 row = blurred[:wide]
@@ -197,4 +203,4 @@ def _channels(
                 gradient = spread[0, v, u] + np.float32(2) * (
                     planes[0, v, u] * spread[1, v, u] + planes[1, v, u] * spread[2, v, u]
                 )
-                by_ssim[y, x, channel] = gradient if mask[y, x] else np.float32(0)
+                by_ssim[y, x, channel] = gradient if inner[y, x] else np.float32(0)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from occfusion.quality.ssim import ssim_map
 
-__all__ = ["l1", "l1_and_ssim", "l2", "masked_mean", "ssim_loss", "ssim_map"]
+__all__ = ["l1", "l1_and_ssim", "l2", "masked_mean", "masked_ssim_loss", "ssim_loss", "ssim_map", "within"]
 
 
 def l1(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
@@ -60,23 +61,46 @@ def ssim_loss(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
     return masked_mean(1.0 - ssim_map(a, b), mask)
 
 
-def l1_and_ssim(a: Tensor, b: Tensor, mask: Tensor, *, compiled: bool = True) -> tuple[Tensor, Tensor]:
-    """Returns `l1` and `ssim_loss` over the pixels of a mask, outside of which SSIM's windows see black.
+def l1_and_ssim(
+    a: Tensor, b: Tensor, mask: Tensor, margin: int = 0, *, compiled: bool = True
+) -> tuple[Tensor, Tensor]:
+    """Returns `l1` over the pixels of a mask and `ssim_loss` over those within it, outside of which windows see black.
 
     Args:
         a: `[H, W, C]`, 0..1; the picture that is trained.
         b: the same shape, without gradient.
         mask: bool `[H, W]`.
+        margin: pixels at the mask's edge that SSIM does not see (`within`).
         compiled: by the kernel of `quality/fused.py` where it takes the picture: float32 on a CPU.
     """
     _check_shapes(a, b, mask)
+    inner = within(mask, margin)
     if compiled and a.dtype == torch.float32 and a.device.type == "cpu":
         # numba is loaded where it is used
         from occfusion.quality import fused
 
-        return fused.l1_and_ssim(a, b, mask)
-    shown, wanted = (picture * mask[..., None] for picture in (a, b))
-    return l1(a, b, mask), ssim_loss(shown, wanted, mask)
+        return fused.l1_and_ssim(a, b, mask, inner)
+    return l1(a, b, mask), masked_ssim_loss(a, b, inner)
+
+
+def masked_ssim_loss(a: Tensor, b: Tensor, mask: Tensor) -> Tensor:
+    """Returns `ssim_loss` over the pixels of a mask, outside of which windows see black."""
+    return ssim_loss(*(picture * mask[..., None] for picture in (a, b)), mask)
+
+
+def within(mask: Tensor, margin: int) -> Tensor:
+    """Returns the pixels of a mask that are more than a margin away from all that are not, along rows and columns.
+
+    What lies outside of the picture is not known, so the mask has no edge there.
+
+    Args:
+        mask: bool `[H, W]`.
+        margin: pixels; with 0 it is the mask itself.
+    """
+    if margin == 0 or mask.numel() == 0:
+        return mask
+    outside = (~mask).to(torch.float32)[None, None]
+    return functional.max_pool2d(outside, 2 * margin + 1, stride=1, padding=margin)[0, 0] == 0
 
 
 def masked_mean(values: Tensor, mask: Tensor | None = None) -> Tensor:

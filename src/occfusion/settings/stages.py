@@ -231,6 +231,9 @@ class AvatarSettings:
     lambda_ssim: float = setting(
         1e3, "weight of the structural term; the paper has none in its refinement", 0
     )
+    ssim_margin: int = setting(
+        1, "pixels at the edge of the visible mask that the structural term does not see", 0, 64
+    )
     lambda_lpips: float = setting(1e3, "weight of the perceptual term", 0)
     perceptual_every: int = setting(
         8, "steps from one perceptual term to the next, which then has that many times the weight", 1, 10_000

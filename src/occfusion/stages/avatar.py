@@ -102,24 +102,24 @@ class AvatarStage(Stage):
         return {"gaussians": self.num_gaussians}
 
     def colour_terms(self, rgb: Tensor, target: Tensor, mask: Tensor) -> dict[str, Tensor]:
-        """Returns `rgb` and `ssim` over the pixels of a mask, black elsewhere; those of weight zero are not built.
+        """Returns `rgb` over the pixels of a mask and `ssim` within it; those of weight zero are not built.
+
+        The structural term stays off the mask's edge, where masks are a pixel off and pictures show half background.
 
         Args:
             rgb: the rendered crop, `[h, w, 3]`.
             target: the frame's.
             mask: bool `[h, w]`.
         """
-        weights = self._schedule.term_weights()
+        weights, margin = self._schedule.term_weights(), self._schedule.ssim_margin
         if weights["rgb"] and weights["ssim"]:
             compiled = self._renderer.backend == "numba"
-            return dict(
-                zip(("rgb", "ssim"), losses.l1_and_ssim(rgb, target, mask, compiled=compiled), strict=True)
-            )
+            both = losses.l1_and_ssim(rgb, target, mask, margin, compiled=compiled)
+            return dict(zip(("rgb", "ssim"), both, strict=True))
         if weights["rgb"]:
             return {"rgb": losses.l1(rgb, target, mask)}
         if weights["ssim"]:
-            black = mask[..., None]
-            return {"ssim": losses.ssim_loss(rgb * black, target * black, mask)}
+            return {"ssim": losses.masked_ssim_loss(rgb, target, losses.within(mask, margin))}
         return {}
 
     # -- one step ---------------------------------------------------------------------------------------------

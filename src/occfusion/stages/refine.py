@@ -75,8 +75,9 @@ class RefineStage(AvatarStage):
         rgb = rendering.rgb
         terms = self.colour_terms(rgb, target.rgb, target.visible_mask)
         if "ssim" in terms and looked_at is not target.visible_mask:
-            shown, black_elsewhere = (picture * looked_at[..., None] for picture in (rgb, wanted))
-            terms["ssim"] = losses.ssim_loss(shown, black_elsewhere, looked_at)
+            terms["ssim"] = losses.masked_ssim_loss(
+                rgb, wanted, losses.within(looked_at, settings.ssim_margin)
+            )
         if settings.lambda_mask:
             unseen = None if reference is None or settings.references.pixels != "unseen" else reference.region
             weights = mask_weights(frame, box, self.uncertain, settings.hidden.effective_weight, unseen)
