@@ -156,8 +156,8 @@ def profile_stages(
     """Yields the profiles of the stages that train an avatar, in a run like any other.
 
     Args:
-        settings: of the run; the lengths of the stages are set here, and all bands of harmonics are in use from the
-            first step on, as they are for most of a usual run.
+        settings: of the run; the lengths of the stages are set here. All bands of harmonics and the perceptual term are
+            in use from the first step on, as they are at the end of a usual run.
         gaussians: at the start of both stages, as far as the body has places for them.
         rounds: see `StepWatch`.
         block: see `StepWatch`.
@@ -167,8 +167,8 @@ def profile_stages(
     watch = StepWatch(size, rounds, block)
     settings = replace(
         settings,
-        optim=replace(settings.optim, steps=watch.steps, sh_every=1),
-        refine=replace(settings.refine, steps=watch.steps, sh_every=1),
+        optim=replace(settings.optim, steps=watch.steps, sh_every=1, perceptual_from=0.0),
+        refine=replace(settings.refine, steps=watch.steps, sh_every=1, perceptual_from=0.0),
         # the clock of training stands still meanwhile, too
         evaluation=replace(settings.evaluation, curve=False),
         trainer=replace(settings.trainer, checkpoint_every=2 * watch.steps),
