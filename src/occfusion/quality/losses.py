@@ -85,7 +85,8 @@ def l1_and_ssim(
 
 def masked_ssim_loss(a: Tensor, b: Tensor, mask: Tensor) -> Tensor:
     """Returns `ssim_loss` over the pixels of a mask, outside of which windows see black."""
-    return ssim_loss(*(picture * mask[..., None] for picture in (a, b)), mask)
+    black = mask[..., None]
+    return ssim_loss(a * black, b * black, mask)
 
 
 def within(mask: Tensor, margin: int) -> Tensor:
