@@ -24,7 +24,7 @@ EXTENT_SCALE = 0.005
 
 OUTWARDS, INWARDS = 0.005, 0.015
 """Metres that a Gaussian may stand outside of clothes, and inside the body, where nothing is known of its depth."""
-THICK, LONG = 0.004, 0.008
+THICK, LONG = 0.002, 0.006
 """Standard deviation that it may have there across the surface, and along the direction of which nothing is known;
 vertices of a body are about 0.017 m apart."""
 HELD_FROM = 0.2
