@@ -12,7 +12,6 @@ Compiled code is cached beside these files, or where that is read-only in numba'
 from __future__ import annotations
 
 import logging
-import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -20,10 +19,6 @@ from functools import lru_cache
 from typing import Any
 
 import numba
-import numpy as np
-from numba import carray, from_dtype, types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
 logger = logging.getLogger(__name__)
 
@@ -69,32 +64,6 @@ def step(function: Callable[..., Any]) -> Callable[..., Any]:
     """Returns a helper that becomes text of the kernels that call it: for those called once, it compiles faster."""
     helper: Callable[..., Any] = numba.njit(inline="always")(function)
     return helper
-
-
-def _local_memory(size: int, element: Any) -> Any:
-    @intrinsic
-    def memory(_: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return cgutils.alloca_once(builder, context.get_value_type(element), size=size)
-
-        return types.CPointer(element)(), generate
-
-    return memory
-
-
-def local_array(shape: tuple[int, ...], dtype: Any) -> Any:
-    """Returns a helper for kernels that returns an uninitialised array of this shape and type, of a few kB at most.
-
-    Nothing else can point to it, which the compiler sees: loops over it become vector code without a check for
-    overlaps, and what is summed there lane by lane stays in registers.
-    """
-    memory = _local_memory(math.prod(shape), from_dtype(np.dtype(dtype)))
-
-    @inline
-    def array() -> Any:
-        return carray(memory(), shape)
-
-    return array
 
 
 @lru_cache(maxsize=4)

@@ -1,12 +1,7 @@
-"""`carry.carry` a few Gaussians at a time instead of pass by pass: nothing between is written to memory and read again.
-
-What is known of `LANES` Gaussians lies in columns of neighbouring numbers, so that the loops over them are vector code.
-They run to the end of the columns, whatever is left there.
-"""
+"""`carry.carry` Gaussian by Gaussian instead of pass by pass: nothing between is written to memory and read again."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,28 +10,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from occfusion.cpu.compilation import inline, kernel, local_array, run_parts
+from occfusion.cpu.compilation import inline, kernel, run_parts
 from occfusion.geometry.rotation import QUATERNION_FLOOR
 
 Array = NDArray[np.float32]
-Numbers = tuple[np.float32, ...]
 BLOCK = 1024
 """Gaussians that a thread takes at a time."""
-LANES = 16
-"""Of these, those that are handled side by side; divides `BLOCK`."""
-
-# columns of what comes in
-MEAN, QUAT, SCALE, OFFSET, REST, POSED = 0, 3, 7, 10, 13, 25
-FOR_MOVED, FOR_COVARIANCE, FOR_LINEAR = 37, 40, 49
-INPUTS, GRADIENTS = 37, 58
-# of what goes out
-MOVED, COVARIANCE, LINEAR = 0, 3, 12
-TO_MEAN, TO_QUAT, TO_SCALE, TO_OFFSET, TO_POSED, TO_REST = 0, 3, 7, 10, 13, 25
-OUTPUTS = 37
-
-local_inputs = local_array((INPUTS, LANES), np.float32)
-local_gradients = local_array((GRADIENTS, LANES), np.float32)
-local_outputs = local_array((OUTPUTS, LANES), np.float32)
 
 
 class Carry(torch.autograd.Function):
@@ -49,13 +28,7 @@ class Carry(torch.autograd.Function):
         count = len(inputs[0])
         moved, covariances, linear = torch.empty(count, 3), torch.empty(count, 3, 3), torch.empty(3, 3, count)
         ctx.save_for_backward(*inputs)
-        run_parts(
-            _forward,
-            *_flat(inputs),
-            moved.numpy().reshape(-1),
-            covariances.numpy().reshape(-1),
-            linear.numpy().reshape(9, -1),
-        )
+        run_parts(_forward, *map(_array, inputs), moved.numpy(), covariances.numpy(), linear.numpy())
         return moved, covariances, linear
 
     @staticmethod
@@ -64,16 +37,16 @@ class Carry(torch.autograd.Function):
         """Returns the gradients of the inputs; None for maps to rest where they need none."""
         inputs = ctx.saved_tensors
         count = len(inputs[0])
-        shapes = ((3 * count,), (9 * count,), (9, count))
+        shapes = ((count, 3), (count, 3, 3), (3, 3, count))
         given = [
-            np.zeros(shape, np.float32) if gradient is None else _array(gradient).reshape(shape)
+            np.zeros(shape, np.float32) if gradient is None else _array(gradient)
             for shape, gradient in zip(shapes, gradients, strict=True)
         ]
         needs_rest = ctx.needs_input_grad[3]
         out = [torch.empty_like(tensor, memory_format=torch.contiguous_format) for tensor in inputs]
         if not needs_rest:
             out[3] = torch.empty(3, 4, 0)
-        run_parts(_backward, *_flat(inputs), *given, needs_rest, *_flat(out))
+        run_parts(_backward, *map(_array, inputs), *given, needs_rest, *(tensor.numpy() for tensor in out))
         results: list[Tensor | None] = list(out)
         if not needs_rest:
             results[3] = None
@@ -94,163 +67,67 @@ def _array(tensor: Tensor) -> Array:
     return array
 
 
-def _flat(tensors: Sequence[Tensor]) -> Iterator[Array]:
-    """Yields the arrays of what `Carry` takes: rows one after the other, maps as twelve columns."""
-    for tensor in tensors:
-        array = _array(tensor)
-        yield array.reshape(12, array.shape[2]) if array.ndim == 3 else array.reshape(-1)
-
-
 @inline
-def _load_rows(rows: Array, first: int, count: int, width: int, at: int, v: Array) -> None:
-    """Puts so many Gaussians' rows into columns."""
-    for k in range(count):
-        for j in range(width):
-            v[at + j, k] = rows[width * (first + k) + j]
-
-
-@inline
-def _load_columns(columns: Array, first: int, count: int, at: int, v: Array) -> None:
-    """Puts so many Gaussians' columns, one after the other, into columns."""
-    for j in range(len(columns)):
-        for k in range(count):
-            v[at + j, k] = columns[j, first + k]
-
-
-@inline
-def _store_rows(v: Array, at: int, width: int, first: int, count: int, rows: Array) -> None:
-    for k in range(count):
-        for j in range(width):
-            rows[width * (first + k) + j] = v[at + j, k]
-
-
-@inline
-def _store_columns(v: Array, at: int, first: int, count: int, columns: Array) -> None:
-    for j in range(len(columns)):
-        for k in range(count):
-            columns[j, first + k] = v[at + j, k]
-
-
-@inline
-def _three(v: Array, at: int, k: int) -> Numbers:
-    return v[at, k], v[at + 1, k], v[at + 2, k]
-
-
-@inline
-def _matrix(v: Array, at: int, width: int, k: int) -> Numbers:
-    """A 3 x 3 matrix of rows of this width, row by row."""
-    a, b, c = _three(v, at, k)
-    d, e, f = _three(v, at + width, k)
-    g, h, i = _three(v, at + 2 * width, k)
-    return a, b, c, d, e, f, g, h, i
-
-
-@inline
-def _put(v: Array, at: int, width: int, k: int, numbers: Numbers) -> None:
-    """A 3 x 3 matrix into rows of this width."""
-    v[at, k], v[at + 1, k], v[at + 2, k] = numbers[0], numbers[1], numbers[2]
-    v[at + width, k], v[at + width + 1, k], v[at + width + 2, k] = numbers[3], numbers[4], numbers[5]
-    at += 2 * width
-    v[at, k], v[at + 1, k], v[at + 2, k] = numbers[6], numbers[7], numbers[8]
-
-
-@inline
-def _transposed(m: Numbers) -> Numbers:
-    return m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]
-
-
-@inline
-def _applied(m: Numbers, x: Numbers) -> Numbers:
-    return (
-        m[0] * x[0] + m[1] * x[1] + m[2] * x[2],
-        m[3] * x[0] + m[4] * x[1] + m[5] * x[2],
-        m[6] * x[0] + m[7] * x[1] + m[8] * x[2],
-    )
-
-
-@inline
-def _product(a: Numbers, b: Numbers) -> Numbers:
-    m, n, o = (
-        _applied(a, (b[0], b[3], b[6])),
-        _applied(a, (b[1], b[4], b[7])),
-        _applied(a, (b[2], b[5], b[8])),
-    )
-    return m[0], n[0], o[0], m[1], n[1], o[1], m[2], n[2], o[2]
-
-
-@inline
-def _sum(a: Numbers, b: Numbers) -> Numbers:
-    return (
-        a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6], a[7] + b[7],
-        a[8] + b[8],
-    )  # fmt: skip
-
-
-@inline
-def _outer(x: Numbers, y: Numbers) -> Numbers:
-    return (
-        x[0] * y[0], x[0] * y[1], x[0] * y[2], x[1] * y[0], x[1] * y[1], x[1] * y[2], x[2] * y[0], x[2] * y[1],
-        x[2] * y[2],
-    )  # fmt: skip
-
-
-@inline
-def _scaled(m: Numbers, s: Numbers) -> Numbers:
-    """Columns of a matrix times these numbers."""
-    return (
-        m[0] * s[0], m[1] * s[1], m[2] * s[2], m[3] * s[0], m[4] * s[1], m[5] * s[2], m[6] * s[0], m[7] * s[1],
-        m[8] * s[2],
-    )  # fmt: skip
-
-
-@inline
-def _unit(v: Array, k: int) -> Numbers:
+def _unit(quats: Array, n: int) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """A unit quaternion and 1 / length; the identity and 0 without a direction."""
-    zero, one = np.float32(0), np.float32(1)
-    w, x, y, z = v[QUAT, k], v[QUAT + 1, k], v[QUAT + 2, k], v[QUAT + 3, k]
+    w, x, y, z = quats[n, 0], quats[n, 1], quats[n, 2], quats[n, 3]
     largest = max(max(abs(w), abs(x)), max(abs(y), abs(z)))
-    without = largest < np.float32(QUATERNION_FLOOR)  # what is not finite goes on, and shows
-    largest = one if without else largest
+    if largest < np.float32(QUATERNION_FLOOR):  # what is not finite goes on, and shows
+        zero = np.float32(0)
+        return np.float32(1), zero, zero, zero, zero
     w, x, y, z = w / largest, x / largest, y / largest, z / largest
-    inverse = one / np.sqrt(one if without else w * w + x * x + y * y + z * z)
-    if without:
-        return one, zero, zero, zero, zero
+    inverse = np.float32(1) / np.sqrt(w * w + x * x + y * y + z * z)
     return w * inverse, x * inverse, y * inverse, z * inverse, inverse / largest
 
 
 @inline
-def _rotation(q: Numbers) -> Numbers:
-    w, x, y, z = q[0], q[1], q[2], q[3]
+def _rotation(w: np.float32, x: np.float32, y: np.float32, z: np.float32, out: Array) -> None:
     one, two = np.float32(1), np.float32(2)
-    return (
-        one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y),
-        two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x),
-        two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y),
-    )  # fmt: skip
+    out[0, 0] = one - two * (y * y + z * z)
+    out[0, 1] = two * (x * y - w * z)
+    out[0, 2] = two * (x * z + w * y)
+    out[1, 0] = two * (x * y + w * z)
+    out[1, 1] = one - two * (x * x + z * z)
+    out[1, 2] = two * (y * z - w * x)
+    out[2, 0] = two * (x * z - w * y)
+    out[2, 1] = two * (y * z + w * x)
+    out[2, 2] = one - two * (x * x + y * y)
 
 
 @inline
-def _at_rest(v: Array, rest: Numbers, k: int) -> Numbers:
-    """Where a Gaussian is at rest."""
-    x = _applied(rest, _three(v, MEAN, k))
-    return (
-        x[0] + v[REST + 3, k] + v[OFFSET, k],
-        x[1] + v[REST + 7, k] + v[OFFSET + 1, k],
-        x[2] + v[REST + 11, k] + v[OFFSET + 2, k],
-    )
+def _maps(rest_maps: Array, posed_maps: Array, n: int, rest: Array, posed: Array, linear: Array) -> None:
+    """The linear parts of both maps of a Gaussian, and their product."""
+    for i in range(3):
+        for j in range(3):
+            rest[i, j], posed[i, j] = rest_maps[i, j, n], posed_maps[i, j, n]
+    for i in range(3):
+        for j in range(3):
+            linear[i, j] = posed[i, 0] * rest[0, j] + posed[i, 1] * rest[1, j] + posed[i, 2] * rest[2, j]
 
 
 @inline
-def _load(
-    means: Array, quats: Array, scales: Array, rest: Array, offsets: Array, posed: Array, first: int, count: int,
-    v: Array,
-) -> None:  # fmt: skip
-    _load_rows(means, first, count, 3, MEAN, v)
-    _load_rows(quats, first, count, 4, QUAT, v)
-    _load_rows(scales, first, count, 3, SCALE, v)
-    _load_rows(offsets, first, count, 3, OFFSET, v)
-    _load_columns(rest, first, count, REST, v)
-    _load_columns(posed, first, count, POSED, v)
+def _placed(
+    means: Array,
+    scales: Array,
+    rest_maps: Array,
+    offsets: Array,
+    n: int,
+    rest: Array,
+    linear: Array,
+    turn: Array,
+    at_rest: Array,
+    root: Array,
+) -> None:
+    """Where a Gaussian is at rest, and the root of its covariance in the pose."""
+    for i in range(3):
+        at_rest[i] = (
+            rest[i, 0] * means[n, 0] + rest[i, 1] * means[n, 1] + rest[i, 2] * means[n, 2]
+            + rest_maps[i, 3, n] + offsets[n, i]
+        )  # fmt: skip
+        for j in range(3):
+            root[i, j] = scales[n, j] * (
+                linear[i, 0] * turn[0, j] + linear[i, 1] * turn[1, j] + linear[i, 2] * turn[2, j]
+            )
 
 
 @kernel
@@ -267,25 +144,27 @@ def _forward(
     part: int,
     parts: int,
 ) -> None:
-    v, out = local_inputs(), local_outputs()
-    v[:] = np.float32(0)
-    total = len(means) // 3
-    for begin in range(part * BLOCK, total, parts * BLOCK):
-        for first in range(begin, min(begin + BLOCK, total), LANES):
-            count = min(LANES, total - first)
-            _load(means, quats, scales, rest_maps, offsets, posed_maps, first, count, v)
-            for k in range(LANES):
-                rest, posed = _matrix(v, REST, 4, k), _matrix(v, POSED, 4, k)
-                linear = _product(posed, rest)
-                root = _scaled(_product(linear, _rotation(_unit(v, k))), _three(v, SCALE, k))
-                x = _applied(posed, _at_rest(v, rest, k))
+    space = np.empty((5, 3, 3), np.float32)
+    rest, posed, linear, turn, root = space[0], space[1], space[2], space[3], space[4]
+    at_rest = np.empty(3, np.float32)
+    for begin in range(part * BLOCK, len(means), parts * BLOCK):
+        for n in range(begin, min(begin + BLOCK, len(means))):
+            _maps(rest_maps, posed_maps, n, rest, posed, linear)
+            w, x, y, z, _ = _unit(quats, n)
+            _rotation(w, x, y, z, turn)
+            _placed(means, scales, rest_maps, offsets, n, rest, linear, turn, at_rest, root)
+            for i in range(3):
                 for j in range(3):
-                    out[MOVED + j, k] = x[j] + v[POSED + 4 * j + 3, k]
-                _put(out, COVARIANCE, 3, k, _product(root, _transposed(root)))
-                _put(out, LINEAR, 3, k, linear)
-            _store_rows(out, MOVED, 3, first, count, moved)
-            _store_rows(out, COVARIANCE, 9, first, count, covariances)
-            _store_columns(out, LINEAR, first, count, linear_out)
+                    linear_out[i, j, n] = linear[i, j]
+            for i in range(3):
+                moved[n, i] = (
+                    posed[i, 0] * at_rest[0] + posed[i, 1] * at_rest[1] + posed[i, 2] * at_rest[2]
+                    + posed_maps[i, 3, n]
+                )  # fmt: skip
+                for j in range(3):
+                    covariances[n, i, j] = (
+                        root[i, 0] * root[j, 0] + root[i, 1] * root[j, 1] + root[i, 2] * root[j, 2]
+                    )
 
 
 @kernel
@@ -309,56 +188,69 @@ def _backward(
     part: int,
     parts: int,
 ) -> None:
-    v, out = local_gradients(), local_outputs()
-    v[:] = np.float32(0)
-    total = len(means) // 3
+    space = np.empty((8, 3, 3), np.float32)
+    rest, posed, linear, turn, root = space[0], space[1], space[2], space[3], space[4]
+    to_root, to_linear, own = space[5], space[6], space[7]
+    at_rest, to_rest = np.empty(3, np.float32), np.empty(3, np.float32)
     two = np.float32(2)
-    for begin in range(part * BLOCK, total, parts * BLOCK):
-        for first in range(begin, min(begin + BLOCK, total), LANES):
-            count = min(LANES, total - first)
-            _load(means, quats, scales, rest_maps, offsets, posed_maps, first, count, v)
-            _load_rows(for_moved, first, count, 3, FOR_MOVED, v)
-            _load_rows(for_covariances, first, count, 9, FOR_COVARIANCE, v)
-            _load_columns(for_linear, first, count, FOR_LINEAR, v)
-            for k in range(LANES):
-                rest, posed = _matrix(v, REST, 4, k), _matrix(v, POSED, 4, k)
-                linear, s, q = _product(posed, rest), _three(v, SCALE, k), _unit(v, k)
-                turn = _rotation(q)
-                root = _scaled(_product(linear, turn), s)
-                each, moved = _matrix(v, FOR_COVARIANCE, 3, k), _three(v, FOR_MOVED, k)
-                to_rest = _applied(_transposed(posed), moved)
-                to_root = _product(_sum(each, _transposed(each)), root)
-                to_linear = _sum(
-                    _product(to_root, _transposed(_scaled(turn, s))), _matrix(v, FOR_LINEAR, 3, k)
+    for begin in range(part * BLOCK, len(means), parts * BLOCK):
+        for n in range(begin, min(begin + BLOCK, len(means))):
+            _maps(rest_maps, posed_maps, n, rest, posed, linear)
+            w, x, y, z, inverse_length = _unit(quats, n)
+            _rotation(w, x, y, z, turn)
+            _placed(means, scales, rest_maps, offsets, n, rest, linear, turn, at_rest, root)
+            for i in range(3):
+                to_rest[i] = (
+                    posed[0, i] * for_moved[n, 0]
+                    + posed[1, i] * for_moved[n, 1]
+                    + posed[2, i] * for_moved[n, 2]
                 )
-                own = _product(_transposed(linear), to_root)
+            for i in range(3):
                 for j in range(3):
-                    out[TO_SCALE + j, k] = (
-                        own[j] * turn[j] + own[3 + j] * turn[3 + j] + own[6 + j] * turn[6 + j]
+                    total = np.float32(0)
+                    for k in range(3):
+                        total += (for_covariances[n, i, k] + for_covariances[n, k, i]) * root[k, j]
+                    to_root[i, j] = total
+            for i in range(3):
+                for j in range(3):
+                    total, mine = for_linear[i, j, n], np.float32(0)
+                    for k in range(3):
+                        total += to_root[i, k] * turn[j, k] * scales[n, k]
+                        mine += linear[k, i] * to_root[k, j]
+                    to_linear[i, j], own[i, j] = total, mine
+            for j in range(3):
+                to_scales[n, j] = own[0, j] * turn[0, j] + own[1, j] * turn[1, j] + own[2, j] * turn[2, j]
+            for i in range(3):
+                for j in range(3):
+                    own[i, j] *= scales[n, j]
+            # odd parts go with w, even parts pair the others
+            wx, wy, wz = own[2, 1] - own[1, 2], own[0, 2] - own[2, 0], own[1, 0] - own[0, 1]
+            xy, xz, yz = own[0, 1] + own[1, 0], own[0, 2] + own[2, 0], own[1, 2] + own[2, 1]
+            a = two * (x * wx + y * wy + z * wz)
+            b = two * (w * wx + y * xy + z * xz - two * x * (own[1, 1] + own[2, 2]))
+            c = two * (w * wy + x * xy + z * yz - two * y * (own[0, 0] + own[2, 2]))
+            d = two * (w * wz + x * xz + y * yz - two * z * (own[0, 0] + own[1, 1]))
+            along = a * w + b * x + c * y + d * z
+            to_quats[n, 0] = (a - w * along) * inverse_length
+            to_quats[n, 1] = (b - x * along) * inverse_length
+            to_quats[n, 2] = (c - y * along) * inverse_length
+            to_quats[n, 3] = (d - z * along) * inverse_length
+            for i in range(3):
+                to_offsets[n, i] = to_rest[i]
+                to_means[n, i] = rest[0, i] * to_rest[0] + rest[1, i] * to_rest[1] + rest[2, i] * to_rest[2]
+                to_posed_maps[i, 3, n] = for_moved[n, i]
+                for j in range(3):
+                    to_posed_maps[i, j, n] = for_moved[n, i] * at_rest[j] + (
+                        to_linear[i, 0] * rest[j, 0]
+                        + to_linear[i, 1] * rest[j, 1]
+                        + to_linear[i, 2] * rest[j, 2]
                     )
-                own = _scaled(own, s)
-                w, x, y, z = q[0], q[1], q[2], q[3]
-                # odd parts go with w, even parts pair the others
-                wx, wy, wz = own[7] - own[5], own[2] - own[6], own[3] - own[1]
-                xy, xz, yz = own[1] + own[3], own[2] + own[6], own[5] + own[7]
-                a = two * (x * wx + y * wy + z * wz)
-                b = two * (w * wx + y * xy + z * xz - two * x * (own[4] + own[8]))
-                c = two * (w * wy + x * xy + z * yz - two * y * (own[0] + own[8]))
-                d = two * (w * wz + x * xz + y * yz - two * z * (own[0] + own[4]))
-                along = a * w + b * x + c * y + d * z
-                out[TO_QUAT, k], out[TO_QUAT + 1, k] = (a - w * along) * q[4], (b - x * along) * q[4]
-                out[TO_QUAT + 2, k], out[TO_QUAT + 3, k] = (c - y * along) * q[4], (d - z * along) * q[4]
-                to_mean, to_posed = _applied(_transposed(rest), to_rest), _outer(moved, _at_rest(v, rest, k))
-                for j in range(3):
-                    out[TO_MEAN + j, k], out[TO_OFFSET + j, k] = to_mean[j], to_rest[j]
-                    out[TO_POSED + 4 * j + 3, k], out[TO_REST + 4 * j + 3, k] = moved[j], to_rest[j]
-                _put(out, TO_POSED, 4, k, _sum(to_posed, _product(to_linear, _transposed(rest))))
-                to_map = _product(_transposed(posed), to_linear)
-                _put(out, TO_REST, 4, k, _sum(_outer(to_rest, _three(v, MEAN, k)), to_map))
-            _store_rows(out, TO_MEAN, 3, first, count, to_means)
-            _store_rows(out, TO_QUAT, 4, first, count, to_quats)
-            _store_rows(out, TO_SCALE, 3, first, count, to_scales)
-            _store_rows(out, TO_OFFSET, 3, first, count, to_offsets)
-            _store_columns(out, TO_POSED, first, count, to_posed_maps)
             if needs_rest:
-                _store_columns(out, TO_REST, first, count, to_rest_maps)
+                for i in range(3):
+                    to_rest_maps[i, 3, n] = to_rest[i]
+                    for j in range(3):
+                        to_rest_maps[i, j, n] = to_rest[i] * means[n, j] + (
+                            posed[0, i] * to_linear[0, j]
+                            + posed[1, i] * to_linear[1, j]
+                            + posed[2, i] * to_linear[2, j]
+                        )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.cpu.compilation import kernel, local_array, step
+from occfusion.cpu.compilation import kernel, step
 from occfusion.splat.backends.numba.bins import GROUP, fetch_group, lowest_block, tile_centre
 from occfusion.splat.backends.numba.blend import ONE, ZERO, lane_alpha, place_of
 from occfusion.splat.backends.numba.layout import (
@@ -45,6 +45,7 @@ from occfusion.splat.backends.numba.layout import (
     TILE_HEIGHT,
     TILE_WIDTH,
     M,
+    local_array,
 )
 
 local_sums = local_array((GRADIENT_SIZE * LANES,), np.float32)

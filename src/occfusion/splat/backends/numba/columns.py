@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.cpu.compilation import inline, local_array, step
+from occfusion.cpu.compilation import inline, step
 from occfusion.splat.backends.numba.geometry import (
     BASIS_SIZE,
     affine_of,
@@ -31,7 +31,7 @@ from occfusion.splat.backends.numba.geometry import (
     symmetric_part,
     unit_quaternion,
 )
-from occfusion.splat.backends.numba.layout import BLUE, GREEN, RED
+from occfusion.splat.backends.numba.layout import BLUE, GREEN, RED, local_array
 from occfusion.splat.harmonics import MAX_DEGREE
 from occfusion.splat.limits import COMPENSATION_FLOOR
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.cpu.compilation import inline, kernel, local_array, step
+from occfusion.cpu.compilation import inline, kernel, step
 from occfusion.splat.backends.numba.columns import (
     COLUMNS,
     COLUMNS_BACKWARD,
@@ -81,6 +81,7 @@ from occfusion.splat.backends.numba.layout import (
     Y_PART,
     Y_WHOLE,
     M,
+    local_array,
 )
 from occfusion.splat.limits import COMPENSATION_FLOOR
 
