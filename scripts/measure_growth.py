@@ -102,6 +102,11 @@ def measure(work: Path, point: Point) -> dict[str, float]:
     }
 
 
+def asked_of(axis: str, amount: int) -> dict[str, int]:
+    """Returns what a point is of."""
+    return {**USUAL, axis: amount}
+
+
 def measure_missing(work: Path) -> None:
     """Measures what the CSV lacks, a process each, and adds its rows."""
     from occfusion.files.table import read_table, write_table
@@ -114,9 +119,16 @@ def measure_missing(work: Path) -> None:
     one_thread = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     for axis, amounts in AXES.items():
         for amount in amounts:
-            point = Point(**{**USUAL, axis: amount})
+            point = Point(**asked_of(axis, amount))
             known = [row for row in rows if row["axis"] == axis and int(str(row["asked"])) == amount]
             if known:
+                continue
+            same = [
+                row for row in rows if all(int(str(row[k])) == v for k, v in asked_of(axis, amount).items())
+            ]
+            if same:  # the usual run is a point of several axes
+                rows.append({**same[0], "axis": axis, "asked": amount})
+                write_table(table, COLUMNS, rows)
                 continue
             if not (work / point.data / SCENE).is_dir():
                 made = ["synth", str(work / point.data), "--scene", SCENE, "--size", str(point.size)]
@@ -127,7 +139,8 @@ def measure_missing(work: Path) -> None:
                 check=True, stdout=subprocess.PIPE, text=True, env=one_thread,
             )  # fmt: skip
             figures = json.loads(told.stdout.splitlines()[-1])
-            rows.append({"axis": axis, "asked": amount, **vars(point), **figures, "revision": revision})
+            own = {"axis": axis, "asked": amount, **vars(point), **figures, "revision": revision}
+            rows.append(own)
             write_table(table, COLUMNS, rows)
             print(rows[-1], flush=True)
 
