@@ -292,3 +292,26 @@ def test_an_aligned_spline_survives_its_file(body: Body, tmp_path) -> None:  # t
     assert found is not None and found.aligned
     for ours, theirs in zip(spline.at(7), found.at(7), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=0, atol=0)
+
+
+def test_of_a_long_sequence_a_part_is_looked_at_and_all_is_put_right(
+    whole_body: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pose_alignment, "MOST_KNOTS", 8)
+    monkeypatch.setattr(pose_alignment, "LOOKS_A_KNOT", 2)
+    seen: list[int] = []
+
+    def watched(body: Body, look: Look, *rest: object) -> Witness | None:
+        seen.append(look.index)
+        return observe_outline(body, look, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(pose_alignment, "observe_outline", watched)
+    found = looks(whole_body, wrong(0.03), motion)
+    alignment, poses = aligned(whole_body, found)
+    assert len(set(seen)) == 16 and {0, FRAMES - 1} <= set(seen)
+    assert alignment.first == 0 and alignment.spacing * (len(alignment.turns) - 3) == pytest.approx(
+        FRAMES - 1
+    )
+    before, _ = off(whole_body, [look.pose for look in found], motion)
+    across, _ = off(whole_body, poses, motion)
+    assert across < 0.7 * before

@@ -54,7 +54,8 @@ CERTAIN = 5.0
 """Standard deviations from which on pictures are certainly shifted or scaled, as in `data.registration`."""
 FULL_TURN, FULL_PLACE = 0.02, 0.01
 """Radians and metres: spreads from which on training may move poses as fast as its rates say."""
-MOST_KNOTS = 60
+MOST_KNOTS, LOOKS_A_KNOT = 60, 4
+"""Knots of a long sequence, and the frames that are looked at for each: more say the same again, and cost as much."""
 AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the correction, that are tried on frames that it was not found by."""
 WORTH = 0.05
@@ -156,11 +157,12 @@ class Aligner:
     """
 
     def __init__(self, looks: Sequence[Look], body: Body, every: int, *, registered: bool = False) -> None:
-        self._looks, self._body, self._registered = looks, body, registered
-        numbers = [look.index for look in looks]
         every = max(every, -(-len(looks) // MOST_KNOTS))
-        self._spline = PoseSpline.over(numbers, every)
-        self._weights = np.stack([spline_weights(self._spline, n) for n in numbers])
+        self._spline = PoseSpline.over([look.index for look in looks], every)
+        count = min(len(looks), LOOKS_A_KNOT * MOST_KNOTS)
+        looks = [looks[k] for k in np.linspace(0, len(looks) - 1, count).round().astype(int)]
+        self._looks, self._body, self._registered = looks, body, registered
+        self._weights = np.stack([spline_weights(self._spline, look.index) for look in looks])
         self._knots = self._spline.knots
         rest = body.rest(looks[0].pose.betas).vertices.double().cpu().numpy()
         self._patch = _patches(rest)
