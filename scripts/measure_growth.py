@@ -29,7 +29,7 @@ SCENE = "003-hard"
 AXES = {
     "frames": (100, 500, 2000),
     "size": (256, 512, 1024),
-    "gaussians": (7_000, 50_000, 200_000),
+    "gaussians": (7_000, 15_000, 50_000),
     "cameras": (1, 23),
 }
 USUAL = {"frames": 100, "size": 256, "gaussians": 15_000, "cameras": 1}
