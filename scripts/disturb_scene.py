@@ -13,6 +13,7 @@ import argparse
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -47,6 +48,12 @@ def wandering(rng: np.random.Generator, *shape: int, over: float = WANDERS) -> F
     return np.asarray(noise / noise.std())
 
 
+def replace_object(path: Path, content: dict[str, Any]) -> None:
+    """Writes a file anew in a copy that is made of links, so that the scene it is a copy of stays as it is."""
+    path.unlink()
+    save_object(path, content)
+
+
 def disturb_bodies(folder: Path, amounts: Mapping[str, float], rng: np.random.Generator) -> None:
     files = sorted((folder / "new_params").glob("*.npy"), key=lambda file: int(file.stem))
     turns = amounts.get("pose", 0.0) * wandering(rng, len(files), 24, 3)
@@ -58,8 +65,7 @@ def disturb_bodies(folder: Path, amounts: Mapping[str, float], rng: np.random.Ge
         poses = np.asarray(own["poses"], np.float64).reshape(24, 3).copy()
         root = Rotation.from_rotvec(turn[0]) * Rotation.from_rotvec(np.ravel(own["Rh"]))
         poses[1:] = (Rotation.from_rotvec(turn[1:]) * Rotation.from_rotvec(poses[1:])).as_rotvec()
-        file.unlink()
-        save_object(file, {
+        replace_object(file, {
             "poses": poses.reshape(1, 72).astype(np.float32),
             "Rh": root.as_rotvec()[None].astype(np.float32),
             "Th": np.asarray(own["Th"] + step, np.float32),
@@ -74,8 +80,7 @@ def disturb_camera(folder: Path, amounts: Mapping[str, float]) -> None:
     K[[0, 1], [0, 1]] *= 1.0 + amounts.get("focal", 0.0)
     K[:2, 2] += amounts.get("shift", 0.0) * np.sqrt(0.5)
     annots["cams"]["K"][0] = K
-    (folder / "annots.npy").unlink()
-    save_object(folder / "annots.npy", annots)
+    replace_object(folder / "annots.npy", annots)
 
 
 def disturb_pictures(folder: Path, amounts: Mapping[str, float], rng: np.random.Generator) -> None:

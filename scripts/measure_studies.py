@@ -21,12 +21,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
 
-from disturb_scene import disturb
+from disturb_scene import disturb, replace_object
 
 from occfusion.files.table import read_table, write_table
 from occfusion.synth.scene import Scene
 from occfusion.synth.spec import SceneSpec
-from occfusion.synth.writer import body_content, camera_annotations, save_object
+from occfusion.synth.writer import body_content, camera_annotations
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs/results"
@@ -195,18 +195,15 @@ STUDIES = {
 }  # fmt: skip
 
 
-def put_true_bodies(folder: Path, size: int) -> None:
+def put_true_bodies(folder: Path, name: str, size: int) -> None:
     """Puts the true bodies and cameras in place of an estimator's in a copy of an embedded scene."""
-    scene = Scene(replace(SceneSpec.parse(folder.name.removesuffix(".partial")), image_size=size, cameras=8))
+    scene = Scene(replace(SceneSpec.parse(name), image_size=size, cameras=8))
     scene.disk_betas, scene.disk_take, scene.disk_cameras = scene.subject.betas, scene.take, scene.cameras
     (folder / "scene.json").unlink()  # it is not that scene any more
     shutil.rmtree(folder / "new_vertices")
-    files = [(folder / "annots.npy", camera_annotations(scene))]
+    replace_object(folder / "annots.npy", camera_annotations(scene))
     for frame in range(scene.spec.frames):
-        files.append((folder / "new_params" / f"{frame}.npy", body_content(scene.parameters(frame))))
-    for path, content in files:
-        path.unlink()
-        save_object(path, content)
+        replace_object(folder / "new_params" / f"{frame}.npy", body_content(scene.parameters(frame)))
 
 
 def scene_folder(work: Path, size: int, case: Case) -> Path:
@@ -221,7 +218,7 @@ def scene_folder(work: Path, size: int, case: Case) -> Path:
         if not (true / scene).is_dir():
             partial = true / f"{scene}.partial"
             shutil.copytree(whole / scene, partial, copy_function=os.link)
-            put_true_bodies(partial, size)
+            put_true_bodies(partial, scene, size)
             partial.rename(true / scene)
         return true
     if not errors:

@@ -408,26 +408,24 @@ def test_colours_are_completed_where_much_of_the_body_is_unseen(overrides, unsee
 
 def test_the_perceptual_term_of_the_refinement_begins_at_half_of_its_steps() -> None:
     asked, hidden = settings_of(), frames(*[0.5] * 12)
-    assert asked.refine.first_perceptual_step == asked.refine.steps / 2
+    assert asked.refine.first_perceptual_step == 912  # the first of every sixteenth from the middle on
     plan = planning.make_plan(asked, SUMMARY, "torch", hidden)
     decisions = {d.part: d for d in plan.decisions}
     schedule = decisions["perceptual term at every step and on the whole person in refine"]
-    assert not schedule.used and "from step 900 of 1800 on" in schedule.reason
+    assert not schedule.used and "from step 912 of 1800 on" in schedule.reason
     assert plan.settings.refine.lambda_lpips and not plan.settings.optim.lambda_lpips
     assert used(settings_of("recipe=paper"), None)[
         "perceptual term at every step and on the whole person in refine"
     ]
 
 
-def test_a_perceptual_term_whose_first_step_is_never_reached_is_left_out_and_the_stage_before_keeps_its_own() -> (
-    None
-):
-    plan = planning.make_plan(settings_of("trainer.max_steps=900"), SUMMARY, "torch", frames(*[0.5] * 12))
+def test_a_perceptual_term_that_is_never_due_is_left_out() -> None:
+    plan = planning.make_plan(settings_of("trainer.max_steps=912"), SUMMARY, "torch", frames(*[0.5] * 12))
     term = {d.part: d for d in plan.decisions}["loss term lpips in refine"]
     assert (
-        not term.used and "refine.perceptual_from = 0.5 begins at step 900, and 900 are taken" in term.reason
+        not term.used and "refine.perceptual_from = 0.5 begins at step 912, and 912 are taken" in term.reason
     )
     assert not plan.settings.refine.lambda_lpips
     assert plan.settings.optim.lambda_lpips == 1e3
-    longer = planning.make_plan(settings_of("trainer.max_steps=901"), SUMMARY, "torch", frames(*[0.5] * 12))
+    longer = planning.make_plan(settings_of("trainer.max_steps=913"), SUMMARY, "torch", frames(*[0.5] * 12))
     assert longer.settings.refine.lambda_lpips == 0.1

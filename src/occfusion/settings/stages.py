@@ -238,7 +238,7 @@ class AvatarSettings:
     perceptual_every: int = setting(
         8, "steps from one perceptual term to the next, which then has that many times the weight", 1, 10_000
     )
-    perceptual_from: float = setting(0.0, "share of the stage's steps before its first", 0, 1)
+    perceptual_from: float = setting(0.0, "share of the stage's steps that go by without it", 0, 1)
     perceptual_crop: int | None = setting(
         128, "side of its random crop, pixels; null: the whole picture", 32, 2048
     )
@@ -255,8 +255,8 @@ class AvatarSettings:
 
     @property
     def first_perceptual_step(self) -> int:
-        """The first step that may have the perceptual term."""
-        return math.ceil(self.perceptual_from * self.steps)
+        """The first step that has the perceptual term."""
+        return math.ceil(self.perceptual_from * self.steps / self.perceptual_every) * self.perceptual_every
 
     def term_weights(self) -> dict[str, float]:
         """Returns the weight of each loss term, by its name."""
