@@ -96,6 +96,21 @@ def test_references_may_count_only_where_nothing_is_known(
     assert (picture == (0, 255, 0)).all(axis=2).sum() >= records[name]["painted_pixels"]
 
 
+def test_a_frame_of_which_no_pixel_counts_is_not_inpainted(
+    train: Train, green: Green, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("occfusion.inpaint.partial.KNOWN", 0.0)  # nothing is unknown
+    folder, _ = train(*SHORT, "refine.references.source=prior", "refine.references.pixels=unseen")
+    records = json.loads((folder / "inpainted" / "manifest.json").read_text())["frames"]
+    assert green.asked == 0 and records
+    assert not any(record["inpainted"] or record["region_pixels"] for record in records.values())
+    pictures = [read_rgb(folder / "inpainted" / f"{name}.png") for name in records]
+    assert all(picture.any() and not (picture == (0, 255, 0)).all(axis=2).any() for picture in pictures)
+    assert (
+        f"0 of 10 frames inpainted, {len(records)} left as the avatar shows them" in capsys.readouterr().out
+    )
+
+
 def test_references_are_made_once(train: Train, green: Green) -> None:
     folder, _ = train(*SHORT, "refine.references.source=prior")
     asked = green.asked

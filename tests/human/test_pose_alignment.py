@@ -96,7 +96,8 @@ def test_derivatives_are_those_of_the_body(whole_body: Body) -> None:
     turns, shift = 0.05 * torch.randn(24, 3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
     figure = _Figure(body, pose, turns, shift)
     chosen = np.arange(0, body.num_vertices, 97)
-    by_turns, by_shape = figure.derivatives(chosen)
+    axes = [figure.derivatives(chosen, np.tile(axis, (len(chosen), 1))) for axis in np.eye(3)]
+    by_turns, by_shape = (np.stack(parts, axis=-1) for parts in zip(*axes, strict=True))
 
     def vertices(extra: torch.Tensor, betas: torch.Tensor) -> Floats:
         given = body.rotations(pose.global_orient, pose.body_pose) @ axis_angle_to_matrix(turns)
@@ -155,12 +156,13 @@ def test_knots_weigh_as_the_spline_does() -> None:
         )
 
 
+@pytest.mark.parametrize("every", [8, 2])  # two links of the chain and three
 def test_the_system_is_solved_as_stacked_least_squares(
-    whole_body: Body, monkeypatch: pytest.MonkeyPatch
+    every: int, whole_body: Body, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Against rows one below the other with the prior as further rows, by a solver for such; and the variances."""
     monkeypatch.setattr(pose_alignment, "PATCHES", 12)
-    aligner = Aligner(looks(whole_body, motion, wrong(0.03))[:12], whole_body, 8)
+    aligner = Aligner(looks(whole_body, motion, wrong(0.03))[:12], whole_body, every)
     seen = [
         (k, w)
         for k, look in enumerate(aligner._looks)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.outlines import outline_offsets
-from occfusion.geometry.zbuffer import rasterize_mesh
+from occfusion.geometry.sampled_mesh import SampledMesh
 from occfusion.types import Camera
 
 
@@ -53,8 +53,6 @@ Ints = NDArray[np.int64]
 
 REACH = 0.04
 """Of the person's size in the picture: farther edges are not this outline's."""
-SAMPLES = 2
-"""A side, in each pixel of the projected body."""
 
 
 @dataclass(frozen=True)
@@ -114,16 +112,12 @@ def measure_offsets(views: Iterable[View], faces: Ints, correction: Correction) 
         if box is None:
             continue
         left, top, width, height = box
-        corner = np.array([left, top], dtype=np.float64)
-        zbuffer = rasterize_mesh(SAMPLES * (pixels - corner), depth, faces, SAMPLES * width, SAMPLES * height)
-        faces_seen = zbuffer.face.reshape(height, SAMPLES, width, SAMPLES)
-        coverage = (faces_seen >= 0).mean(axis=(1, 3), dtype=np.float32)
+        drawn = SampledMesh.draw(pixels, depth, faces, box)
         found = outline_offsets(
-            coverage, view.mask[top : top + height, left : left + width], max(REACH * size, 3.0)
+            drawn.coverage, view.mask[top : top + height, left : left + width], max(REACH * size, 3.0)
         )
-        face = faces_seen.max(axis=(1, 3))[found.pixels[:, 0], found.pixels[:, 1]]
-        vertices = faces[face, 0]
-        to_point = found.points + corner - K[:2, 2]
+        vertices = faces[drawn.face_at(found.pixels), 0]
+        to_point = found.points + np.array([left, top]) - K[:2, 2]
         scale = (to_point * found.normals).sum(axis=1)
         per_metre = K[0, 0] / depth[vertices]
         # the derivative of a projected point by its place in the world, along the normal

@@ -65,7 +65,8 @@ def outline_offsets(coverage: NDArray[np.floating], seen: NDArray[np.bool_], rea
     normals = -_gradient(first, middles)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     distances = np.arange(-reach, reach + 0.5 * STEP, STEP)
-    own = _crossings(first, middles, normals, distances, np.zeros(len(middles)))
+    near = distances[np.abs(distances) < NEAR_ITS_PIXEL + 2 * STEP]
+    own = _crossings(first, middles, normals, near, np.zeros(len(middles)))
     other = _crossings(second, middles, normals, distances, np.nan_to_num(own))
     ends = middles + normals * np.nan_to_num(other)[:, None]
     slopes = -_gradient(second, ends)

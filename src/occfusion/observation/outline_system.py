@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.linalg.lapack import dpotri
 from scipy.sparse import csr_array
 
+from occfusion.observation.arrow_system import ArrowFactor
 from occfusion.observation.pose_witness import POSE_COLUMNS, Witness
 
 Floats = NDArray[np.float64]
@@ -28,6 +28,8 @@ NOISE = 0.2
 CORRELATED = 3.0
 """Neighbouring pixels of an outline err alike: at least so many count as one."""
 BIWEIGHT = 4.7
+COUPLED = 4
+"""Knots of a cubic spline that a frame knows."""
 
 
 class OutlineSystem:
@@ -126,11 +128,16 @@ class OutlineSystem:
         return np.concatenate(parts)
 
     def _assemble(self) -> None:
-        """Forms the normal equations; each row knows one place alone of those that stand off."""
+        """Forms the normal equations; each row knows one place alone of those that stand off.
+
+        Knots of a cubic spline are coupled to the three that follow, so that knots in threes make a chain.
+        """
         total, size = self.count + self._extra, POSE_COLUMNS
-        normal, right = np.zeros((total, total)), np.zeros(total)
+        near, right = np.zeros((self.knots, COUPLED, size, size)), np.zeros(total)
         patches = int(self._patch.max()) + 1
-        few, places = slice(self.count, total - patches), slice(total - patches, total)
+        border, corner = np.zeros((self.knots, size, self._extra)), np.zeros((self._extra, self._extra))
+        few, places = slice(0, self._extra - patches), slice(self._extra - patches, self._extra)
+        extra = right[self.count :]
         diagonal = np.zeros(patches)
         for n, (k, w) in enumerate(self._seen):
             own = slice(self._ends[n], self._ends[n + 1])
@@ -144,41 +151,59 @@ class OutlineSystem:
             pull = self.row_weights[own] * w.per_metre
             active = np.flatnonzero(self._spline_weights[k])
             for a in active:
-                wa, sa = self._spline_weights[k, a], slice(a * size, (a + 1) * size)
-                right[sa] += wa * part[:size]
-                normal[sa, few] += wa * block[:size, size:]
-                normal[sa, places] += wa * by_place[:, :size].T
-                for b in active:
-                    normal[sa, b * size : (b + 1) * size] += (
-                        wa * self._spline_weights[k, b] * block[:size, :size]
-                    )
-            normal[few, few] += block[size:, size:]
-            normal[few, places] += by_place[:, size:].T
+                wa = self._spline_weights[k, a]
+                right[a * size : (a + 1) * size] += wa * part[:size]
+                border[a, :, few] += wa * block[:size, size:]
+                border[a, :, places] += wa * by_place[:, :size].T
+                for b in active[active >= a]:
+                    near[a, b - a] += wa * self._spline_weights[k, b] * block[:size, :size]
+            corner[few, few] += block[size:, size:]
+            corner[few, places] += by_place[:, size:].T
             diagonal += np.bincount(place, pull * w.per_metre, patches)
-            right[few] += part[size:]
-            right[places] += np.bincount(place, pull * self._targets[own], patches)
-        normal[places, places] = np.diag(diagonal)
-        normal[places, few] = normal[few, places].T
-        normal[self.count :, : self.count] = normal[: self.count, self.count :].T
-        self._normal, self._right = normal, right
+            extra[few] += part[size:]
+            extra[places] += np.bincount(place, pull * self._targets[own], patches)
+        corner[places, places] = np.diag(diagonal)
+        corner[places, few] = corner[few, places].T
+        self._near, self._border, self._corner, self._right = near, border, corner, right
 
     def solve(self, precision: Floats) -> Floats:
         """Returns the most likely unknowns."""
-        return self._solve(precision)[1]
+        factor, scale = self._factor(precision)
+        return scale * factor.solve(scale * self._right)
 
     def solve_with_variance(self, precision: Floats) -> tuple[Floats, Floats]:
         """Returns the most likely unknowns and their variances, which cost twice as much again."""
-        factor, solution = self._solve(precision)
-        inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
-        return solution, np.diag(inverse) / precision
+        factor, scale = self._factor(precision)
+        return scale * factor.solve(scale * self._right), factor.variance() * scale**2
 
-    def _solve(self, precision: Floats) -> tuple[Floats, Floats]:
+    def _factor(self, precision: Floats) -> tuple[ArrowFactor, Floats]:
         # in units of the prior's spread the system is well scaled whatever it is
         scale = precision**-0.5
-        scaled = self._normal * scale[:, None] * scale
-        scaled[np.diag_indices_from(scaled)] += 1.0
-        factor = cho_factor(scaled, lower=True, overwrite_a=True)
-        return factor[0], scale * cho_solve(factor, scale * self._right)
+        knots, extra = scale[: self.count].reshape(self.knots, -1), scale[self.count :]
+        near = self._near.copy()
+        for step in range(min(COUPLED, self.knots)):
+            near[: self.knots - step, step] *= knots[: self.knots - step, :, None] * knots[step:, None, :]
+        border = self._border * knots[..., None] * extra
+        diagonal, below, edges = [], [], []
+        groups = [range(a, min(a + COUPLED - 1, self.knots)) for a in range(0, self.knots, COUPLED - 1)]
+        for own, following in pairwise([*groups, range(0)]):
+            diagonal.append(_joined(near, own, own) + np.eye(len(own) * POSE_COLUMNS))
+            edges.append(border[own.start : own.stop].reshape(-1, len(extra)))
+            if following:
+                below.append(_joined(near, following, own))
+        corner = self._corner * extra[:, None] * extra + np.eye(len(extra))
+        return ArrowFactor(diagonal, below, edges, corner), scale
+
+
+def _joined(near: Floats, rows: range, columns: range) -> Floats:
+    """Returns the block of some knots by others; what lies farther than the spline reaches is zero."""
+    size = near.shape[-1]
+    out = np.zeros((len(rows), size, len(columns), size))
+    for i, a in enumerate(rows):
+        for j, b in enumerate(columns):
+            if abs(a - b) < COUPLED:
+                out[i, :, j] = near[a, b - a] if b >= a else near[b, a - b].T
+    return out.reshape(len(rows) * size, len(columns) * size)
 
 
 def _few(w: Witness) -> Floats:

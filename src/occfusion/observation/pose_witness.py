@@ -18,6 +18,7 @@ from occfusion.files.bodyfile import NUM_JOINTS
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.outlines import outline_offsets
 from occfusion.geometry.rotation import axis_angle_to_matrix
+from occfusion.geometry.sampled_mesh import SampledMesh, box_of
 from occfusion.geometry.skinning import bone_transforms
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
@@ -31,8 +32,6 @@ POSE_COLUMNS = 3 * NUM_JOINTS + 3
 """Turns of all joints, then the place."""
 REACH = 0.04
 """Of the person's size: farther edges are not this outline's. The first look reaches twice as far."""
-SAMPLES = 2
-"""A side, in each pixel of the projected body."""
 OCCLUDER = 0.02
 """Of the person's size: half the width from which on what is missing of the body is hidden rather than misplaced. A leg
 is 0.07 wide, an arm 0.05."""
@@ -105,9 +104,10 @@ def observe_outline(
     pixels, depth = project_vertices(figure.vertices, viewmat, K)
     faces = body.faces.cpu().numpy()
     height, width = seen.shape
-    zbuffer = rasterize_mesh(SAMPLES * pixels, depth, faces, SAMPLES * width, SAMPLES * height)
-    samples = zbuffer.face.reshape(height, SAMPLES, width, SAMPLES)
-    coverage = (samples >= 0).mean(axis=(1, 3), dtype=np.float32)
+    x, y, w, h = box = box_of(pixels, width, height)
+    drawn = SampledMesh.draw(pixels, depth, faces, box)
+    coverage = np.zeros(seen.shape, np.float32)
+    coverage[y : y + h, x : x + w] = drawn.coverage
     size = person_size(coverage > 0.5)
     if size < 8.0 or not seen.any():
         return None
@@ -117,18 +117,17 @@ def observe_outline(
     kept = ~_hidden(coverage > 0.5, seen, size)[row, column]
     if kept.sum() < 10:
         return None
-    face = samples.max(axis=(1, 3))[found.pixels[kept, 0], found.pixels[kept, 1]]
-    vertices = faces[face, 0]
+    vertices = faces[drawn.face_at(found.pixels[kept] - [y, x]), 0]
     normals, points = found.normals[kept], found.points[kept]
     per_metre = K[0, 0] / depth[vertices]
     # the derivative of a projected point by its place in the world, along the normal
     inwards = ((points - K[:2, 2]) * normals).sum(axis=1) / K[0, 0]
     moves = per_metre[:, None] * (normals @ viewmat[:2, :3] - inwards[:, None] * viewmat[2, :3])
-    by_turns, by_shape = figure.derivatives(vertices)
+    by_turns, by_shape = figure.derivatives(vertices, moves)
     return Witness(
         offsets=found.offsets[kept],
-        turns=np.concatenate([np.einsum("nc,nkc->nk", moves, by_turns), moves], axis=1),
-        shape=np.einsum("nc,nkc->nk", moves, by_shape),
+        turns=np.concatenate([by_turns, moves], axis=1),
+        shape=by_shape,
         picture=np.column_stack([normals, inwards * K[0, 0]]),
         per_metre=per_metre,
         vertices=vertices,
@@ -188,22 +187,30 @@ class _Figure:
         linear = (self._weights @ self._turns.reshape(NUM_JOINTS, 9)).reshape(-1, 3, 3)
         self.vertices = np.einsum("vij,vj->vi", linear, points) + self._weights @ self._shifts + self._place
 
-    def derivatives(self, chosen: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        """Returns how vertices move with each turn `[N, 72, 3]` and with each shape component `[N, B, 3]`."""
+    def derivatives(self, chosen: NDArray[np.int64], along: Floats) -> tuple[Floats, Floats]:
+        """Returns how far vertices move along directions with each turn `[N, 72]` and each shape component `[N, B]`.
+
+        Args:
+            chosen: vertices, `[N]`.
+            along: the direction of each, `[N, 3]`.
+        """
         weights, rest = self._weights[chosen], self._rest[chosen]
         parents = self._body.parents
         # where each bone alone would have the vertices, less the joint it turns about, summed over what hangs on it
-        places = np.einsum("kij,nj->nki", self._turns, rest) + self._shifts
-        weighted, share = weights[..., None] * places, weights.copy()
+        places = rest @ np.swapaxes(self._turns, 1, 2) + self._shifts[:, None]
+        share = weights.T.copy()
+        weighted = share[..., None] * places
         for joint in range(NUM_JOINTS - 1, 0, -1):
-            weighted[:, parents[joint]] += weighted[:, joint]
-            share[:, parents[joint]] += share[:, joint]
+            weighted[parents[joint]] += weighted[joint]
+            share[parents[joint]] += share[joint]
         joints = np.einsum("kij,kj->ki", self._turns, self._joints) + self._shifts
-        arms = weighted - share[..., None] * joints
-        # a turn multiplied from the right turns about an axis of the joint as it stands: (G w) x arm
-        axes = np.swapaxes(self._turns, 1, 2)
-        by_turns = np.cross(axes[None], arms[:, :, None, :]).reshape(len(chosen), -1, 3)
-        return by_turns, self._by_shape(weights, chosen)
+        x, y, z = np.moveaxis(weighted - share[..., None] * joints[:, None], 2, 0)
+        # a turn multiplied from the right turns about an axis of the joint as it stands, and
+        # direction . (axis x arm) = axis . (arm x direction)
+        u, v, w = along.T
+        moments = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=2)
+        by_turns = np.swapaxes(moments @ self._turns, 0, 1).reshape(len(chosen), -1)
+        return by_turns, np.einsum("nc,nbc->nb", along, self._by_shape(weights, chosen))
 
     def _by_shape(self, weights: Floats, chosen: NDArray[np.int64]) -> Floats:
         body = self._body

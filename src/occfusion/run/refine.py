@@ -123,9 +123,7 @@ def make_references(
         wanted = [k for k in wanted if k == data.position_at(0)]
     stage.treat(read, wanted, progress=settings.trainer.enable_progress_bar)
     seconds = time.monotonic() - started
-    print(
-        f"refine: {len(wanted)} of {len(observed_frames)} frames inpainted in {seconds:.1f} s; {stage.counted}"
-    )
+    print(f"refine: references made in {seconds:.1f} s; {stage.counted}")
     return stage.references, seconds
 
 

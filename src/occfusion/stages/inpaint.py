@@ -13,7 +13,7 @@ from occfusion.files.run_folder import FrameFolder, frame_name
 from occfusion.human.avatar import Avatar
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import Accumulated
-from occfusion.inpaint.partial import Inpainter, checked_picture, take_partial
+from occfusion.inpaint.partial import CoarsePictures, Inpainter, checked_picture, take_partial
 from occfusion.observation.frames import ObservedFrame
 from occfusion.stages.framewise import FramewiseStage
 from occfusion.stages.references import References
@@ -23,8 +23,9 @@ from occfusion.types import Frame
 class InpaintStage(FramewiseStage):
     """Inpaints the frames whose person is occluded, and writes them; run by `Trainer.predict`.
 
-    Frames of a whole person are not touched. What is written already by the same inpainter for the same coarse
-    avatar on the same data is not computed again.
+    Frames of a whole person are not touched. A frame of which no pixel counts keeps the coarse avatar's colours where
+    the person is hidden. What is written already by the same inpainter for the same coarse avatar on the same data is
+    not computed again.
 
     Args:
         inpainter: paints what is hidden.
@@ -51,7 +52,16 @@ class InpaintStage(FramewiseStage):
         renderer: Renderer,
         pixels: str,
     ) -> None:
-        super().__init__(folder, {**identity, "pixels": pixels, "unseen": "painted", **inpainter.describe()})
+        super().__init__(
+            folder,
+            {
+                **identity,
+                "pixels": pixels,
+                "unseen": "painted",
+                "asked": "what counts",
+                **inpainter.describe(),
+            },
+        )
         self._pixels = pixels
         # wrapped in tuples so that neither is part of this module's state
         self._inpainter, self._avatar = (inpainter,), (avatar,)
@@ -76,12 +86,16 @@ class InpaintStage(FramewiseStage):
 
     @property
     def counted(self) -> str:
-        """How many of the painted pixels the refinement will look at, in words."""
+        """How many frames were inpainted, and how many of the pixels the refinement will look at, in words."""
         painted, region = (
             sum(r[f"{part}_pixels"] for r in self.records.values()) for part in ("painted", "region")
         )
+        asked = sum(r["inpainted"] for r in self.records.values())
         others = "; other frames show the rest" if region < painted else ""
-        return f"references count on {region} of {painted} painted pixels{others}"
+        return (
+            f"{asked} of {len(self.observed_frames)} frames inpainted, {len(self.records) - asked} left as the avatar "
+            f"shows them; references count on {region} of {painted} hidden pixels{others}"
+        )
 
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
@@ -90,13 +104,17 @@ class InpaintStage(FramewiseStage):
         assert self.accumulated is not None  # set by whoever starts the stage, once it is known to be needed
         observation = observed_frame.observation(frame, avatar.body)
         partial = take_partial(avatar, self.accumulated, frame, observation, self._renderer)
-        picture, painted = checked_picture(self._inpainter[0], partial), partial.region
+        painted = partial.region
         region = partial.unseen if self._pixels == "unseen" else painted
+        # where no pixel will be looked at, nobody is asked to paint it
+        inpainter = self._inpainter[0] if region.any() else CoarsePictures()
+        picture = checked_picture(inpainter, partial)
         write_png(self.folder.second_picture(frame.index), region)
         write_png(self.folder.picture(frame.index), np.round(255.0 * picture).astype(np.uint8))
         record = {
             "painted_pixels": int(painted.sum()),
             "region_pixels": int(region.sum()),
+            "inpainted": bool(region.any()),
             "moved": round(float(np.abs(picture - partial.coarse)[painted].mean()), 4)
             if painted.any()
             else 0.0,
