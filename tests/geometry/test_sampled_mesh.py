@@ -22,7 +22,8 @@ def test_a_window_shows_what_the_whole_picture_does(seed: int) -> None:
     pixels, depths, faces = mesh(seed)
     box = x, y, w, h = box_of(pixels, WIDTH, HEIGHT)
     drawn = SampledMesh.draw(pixels, depths, faces, box)
-    whole = rasterize_mesh(SAMPLES * pixels, depths, faces, SAMPLES * WIDTH, SAMPLES * HEIGHT).face
+    seen = rasterize_mesh(SAMPLES * pixels, depths, faces, SAMPLES * WIDTH, SAMPLES * HEIGHT)
+    whole, depth = seen.face, seen.depth
     for row in range(HEIGHT):
         for column in range(WIDTH):
             own = whole[SAMPLES * row :, SAMPLES * column :][:SAMPLES, :SAMPLES]
@@ -30,6 +31,10 @@ def test_a_window_shows_what_the_whole_picture_does(seed: int) -> None:
                 assert (own == -1).all()
                 continue
             assert drawn.coverage[row - y, column - x] == (own >= 0).mean()
+            assert (
+                drawn.nearest[row - y, column - x]
+                == depth[SAMPLES * row :, SAMPLES * column :][:SAMPLES, :SAMPLES].min()
+            )
             assert drawn.face_at(np.array([[row - y, column - x]]))[0] == own.max()
     assert drawn.coverage.dtype == np.float32 and 0 < drawn.coverage.mean() < 1
 

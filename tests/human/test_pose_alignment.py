@@ -17,7 +17,7 @@ from occfusion.observation import pose_alignment
 from occfusion.observation.outline_system import OutlineSystem
 from occfusion.observation.pose_alignment import GROUPS, Aligner, align_poses, aligned_pose, spline_weights
 from occfusion.observation.pose_witness import Look, Witness, _Figure, observe_outline
-from occfusion.types import Camera, Pose
+from occfusion.types import Camera, Frame, Pose
 
 SIZE, FRAMES = 112, 32
 Floats = np.ndarray
@@ -144,6 +144,27 @@ def test_outlines_move_as_the_derivatives_say(whole_body: Body) -> None:
     assert np.corrcoef(found.offsets, predicted)[0, 1] > 0.85
     slope = (predicted * found.offsets).sum() / (predicted**2).sum()
     assert slope == pytest.approx(1.0, abs=0.07)
+
+
+def test_a_large_picture_is_looked_at_smaller(whole_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An outline in it is where it is in the whole one, in its own pixels; a small one is taken as it is."""
+    given = motion(3)
+    moved = replace(given, transl=torch.tensor([0.02, 0.0, 0.0]))
+    mask = torch.from_numpy(mask_of(whole_body, moved))
+    frame = Frame(3, 0, "f", torch.zeros(SIZE, SIZE, 3), mask, None, None, None, camera(), given)
+    whole = Look.at(frame)
+    assert whole.pixel == 1.0 and whole.camera is frame.camera
+    monkeypatch.setattr("occfusion.observation.pose_witness.LARGEST", 70)
+    small = Look.at(frame)
+    assert small.pixel == pytest.approx(1.6) and small.seen.shape == (70, 70)
+    nothing = np.zeros((24, 3)), np.zeros(3)
+    mean = []
+    for look in (whole, small):
+        found = observe_outline(whole_body, look, nothing, 0.06)
+        assert found is not None
+        sideways = np.abs(found.turns[:, 72]) > 0.9 * found.per_metre
+        mean.append(np.median(found.offsets[sideways] / found.turns[sideways, 72]))
+    assert mean[0] == pytest.approx(0.02, abs=0.003) and mean[1] == pytest.approx(0.02, abs=0.003)
 
 
 def test_knots_weigh_as_the_spline_does() -> None:

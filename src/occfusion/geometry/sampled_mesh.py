@@ -20,9 +20,11 @@ class SampledMesh:
 
     Attributes:
         samples: the face that each sample sees first, -1 where there is none, `[SAMPLES h, SAMPLES w]`.
+        depths: of what it sees, metres; infinite where there is nothing.
     """
 
     samples: NDArray[np.int32]
+    depths: NDArray[np.float32]
 
     @classmethod
     def draw(
@@ -38,7 +40,8 @@ class SampledMesh:
         """
         x, y, width, height = box
         moved = SAMPLES * (pixels - np.array([x, y], dtype=np.float64))
-        return cls(rasterize_mesh(moved, depths, faces, SAMPLES * width, SAMPLES * height).face)
+        seen = rasterize_mesh(moved, depths, faces, SAMPLES * width, SAMPLES * height)
+        return cls(seen.face, seen.depth)
 
     @property
     def coverage(self) -> NDArray[np.float32]:
@@ -46,6 +49,12 @@ class SampledMesh:
         hits = (self.samples != NO_FACE).view(np.uint8)
         total = sum(hits[y::SAMPLES, x::SAMPLES] for y in range(SAMPLES) for x in range(SAMPLES))
         return np.asarray(total, np.float32) / np.float32(SAMPLES**2)
+
+    @property
+    def nearest(self) -> NDArray[np.float32]:
+        """Depth of the nearest sample of each pixel, `[h, w]`, metres; infinite where there is nothing."""
+        rows = np.minimum.reduce([self.depths[y::SAMPLES] for y in range(SAMPLES)])
+        return np.minimum.reduce([rows[:, x::SAMPLES] for x in range(SAMPLES)])
 
     def face_at(self, pixels: NDArray[np.integer]) -> NDArray[np.int32]:
         """Returns a face that covers each of some pixels, the last in the list of faces; -1 where none does.

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.geometry.zbuffer import rasterize_mesh
+from occfusion.geometry.sampled_mesh import SampledMesh, box_of
 
 DEPTH_RANGE = 0.7
 """Metres before and behind the middle of the body over which depth runs from -1 to 1."""
-SAMPLES = 2
-"""A side, in each pixel."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +45,10 @@ def view_body(
         width: columns.
         height: rows.
     """
-    seen = rasterize_mesh(SAMPLES * pixels, depths, faces, SAMPLES * width, SAMPLES * height)
-    samples = seen.depth.reshape(height, SAMPLES, width, SAMPLES)
-    depth = samples.min(axis=(1, 3))
-    coverage = np.isfinite(samples).mean(axis=(1, 3), dtype=np.float32)
+    x, y, w, h = box = box_of(pixels, width, height)
+    drawn, window = SampledMesh.draw(pixels, depths, faces, box), np.s_[y : y + h, x : x + w]
+    depth, coverage = np.full((height, width), np.inf, np.float32), np.zeros((height, width), np.float32)
+    depth[window], coverage[window] = drawn.nearest, drawn.coverage
     middle = 0.5 * (float(np.min(depths)) + float(np.max(depths)))
     relative = np.where(np.isfinite(depth), np.clip((depth - middle) / DEPTH_RANGE, -1.0, 1.0), 0.0)
     return BodyView(coverage, relative.astype(np.float32), depth)

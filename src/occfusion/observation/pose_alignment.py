@@ -78,11 +78,11 @@ class Alignment:
         told: share of each turn that outlines tell, `[K, 24, 3]`, 0 to 1.
         first: of the spline.
         spacing: of the spline.
-        picture: shift in x and y, pixels, and scale less 1, that the pictures have beside the cameras, `[3]`.
+        picture: shift in x and y, pixels of the frames, and scale less 1, that pictures have beside the cameras, `[3]`.
         picture_error: standard deviations of `picture`; a body that is misplaced throughout by as much as it wanders
             explains it as well, and that is part of them.
-        noise: of outlines about the fit, pixels.
-        before: of outlines about the poses as given, pixels.
+        noise: of outlines about the fit, pixels of the frames.
+        before: of outlines about the poses as given, the same.
     """
 
     turns: Floats
@@ -193,6 +193,8 @@ class Aligner:
         for _ in range(SETTLING if amount else 0):  # what is not taken need not be found to the end
             if not self._step(everyone, REACH, True):
                 return None
+        pixel = self._looks[0].pixel
+        sides = np.array([pixel, pixel, 1.0])
         told = np.clip(1.0 - self._variance / self.spreads[self._group] ** 2, 0.0, 1.0)
         return Alignment(
             turns=amount * self.values[:, :72].reshape(-1, 24, 3),
@@ -203,10 +205,10 @@ class Aligner:
             told=told.reshape(self._knots, POSE_COLUMNS)[:, :72].reshape(-1, 24, 3),
             first=self._spline.first,
             spacing=self._spline.spacing,
-            picture=picture,
-            picture_error=picture_error,
-            noise=self.noise,
-            before=self.before,
+            picture=picture * sides,
+            picture_error=picture_error * sides,
+            noise=self.noise * pixel,
+            before=self.before * pixel,
         )
 
     def correction(self, position: int) -> tuple[Floats, Floats]:

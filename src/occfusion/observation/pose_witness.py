@@ -32,6 +32,9 @@ POSE_COLUMNS = 3 * NUM_JOINTS + 3
 """Turns of all joints, then the place."""
 REACH = 0.04
 """Of the person's size: farther edges are not this outline's. The first look reaches twice as far."""
+LARGEST = 512
+"""Pixels, the longer side of masks that are looked at. There, outlines are known to hundredths of a pixel, and bodies
+fit them to tenths."""
 OCCLUDER = 0.02
 """Of the person's size: half the width from which on what is missing of the body is hidden rather than misplaced. A leg
 is 0.07 wide, an arm 0.05."""
@@ -72,17 +75,25 @@ class Look:
         pose: as given.
         camera: at the size of the mask.
         seen: the visible person, `[H, W]`.
+        pixel: sides of the frame's pixels that one of the mask has.
     """
 
     index: int
     pose: Pose
     camera: Camera
     seen: Mask
+    pixel: float = 1.0
 
     @classmethod
     def at(cls, frame: Frame) -> Look:
-        """Returns it of a frame."""
-        return cls(frame.index, frame.pose, frame.camera, frame.visible_mask.cpu().numpy())
+        """Returns it of a frame; of a large one at a smaller size."""
+        seen, camera = frame.visible_mask.cpu().numpy(), frame.camera
+        pixel = max(seen.shape) / LARGEST
+        if pixel <= 1.0:
+            return cls(frame.index, frame.pose, camera, seen)
+        width, height = (max(1, round(side / pixel)) for side in (camera.width, camera.height))
+        share = cv2.resize(seen.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
+        return cls(frame.index, frame.pose, camera.resized(width, height), np.asarray(share) > 0.5, pixel)
 
 
 @torch.no_grad()
