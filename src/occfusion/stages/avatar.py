@@ -101,7 +101,9 @@ class AvatarStage(Stage):
         """Returns the number of Gaussians."""
         return {"gaussians": self.num_gaussians}
 
-    def colour_terms(self, rgb: Tensor, target: Tensor, mask: Tensor) -> dict[str, Tensor]:
+    def colour_terms(
+        self, rgb: Tensor, target: Tensor, mask: Tensor, structure: tuple[Tensor, Tensor] | None = None
+    ) -> dict[str, Tensor]:
         """Returns `rgb` over the pixels of a mask and `ssim` within it; those of weight zero are not built.
 
         The structural term stays off the mask's edge, where masks are a pixel off and pictures show half background.
@@ -110,17 +112,18 @@ class AvatarStage(Stage):
             rgb: the rendered crop, `[h, w, 3]`.
             target: the frame's.
             mask: bool `[h, w]`.
+            structure: target and mask of the structural term, where they are others.
         """
         weights, margin = self._schedule.term_weights(), self._schedule.ssim_margin
-        if weights["rgb"] and weights["ssim"]:
+        if structure is None and weights["rgb"] and weights["ssim"]:
             compiled = self._renderer.backend == "numba"
             both = losses.l1_and_ssim(rgb, target, mask, margin, compiled=compiled)
             return dict(zip(("rgb", "ssim"), both, strict=True))
-        if weights["rgb"]:
-            return {"rgb": losses.l1(rgb, target, mask)}
+        terms = {"rgb": losses.l1(rgb, target, mask)} if weights["rgb"] else {}
         if weights["ssim"]:
-            return {"ssim": losses.masked_ssim_loss(rgb, target, losses.within(mask, margin))}
-        return {}
+            shown, looked_at = (target, mask) if structure is None else structure
+            terms["ssim"] = losses.masked_ssim_loss(rgb, shown, losses.within(looked_at, margin))
+        return terms
 
     # -- one step ---------------------------------------------------------------------------------------------
 

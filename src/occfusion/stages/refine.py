@@ -69,15 +69,10 @@ class RefineStage(AvatarStage):
         """
         settings, target = self.settings, crop_frame(frame, box)
         reference = self.references.get(frame, box)
-        wanted, looked_at = target.rgb, target.visible_mask
+        rgb, structure = rendering.rgb, None
         if reference is not None and settings.references.perceptual:
-            wanted, looked_at = reference.rgb, target.visible_mask | reference.region
-        rgb = rendering.rgb
-        terms = self.colour_terms(rgb, target.rgb, target.visible_mask)
-        if "ssim" in terms and looked_at is not target.visible_mask:
-            terms["ssim"] = losses.masked_ssim_loss(
-                rgb, wanted, losses.within(looked_at, settings.ssim_margin)
-            )
+            structure = reference.rgb, target.visible_mask | reference.region
+        terms = self.colour_terms(rgb, target.rgb, target.visible_mask, structure)
         if settings.lambda_mask:
             unseen = None if reference is None or settings.references.pixels != "unseen" else reference.region
             weights = mask_weights(frame, box, self.uncertain, settings.hidden.effective_weight, unseen)
@@ -86,6 +81,7 @@ class RefineStage(AvatarStage):
         if settings.references.weight and reference is not None:
             terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)
         if (perceptual := self.perceptual_due()) is not None:
+            wanted, looked_at = structure or (target.rgb, target.visible_mask)
             window = self.perceptual_box(looked_at)
             # black elsewhere in both
             shown, wanted = (crop(picture * looked_at[..., None], window) for picture in (rgb, wanted))
