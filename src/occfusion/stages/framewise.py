@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -20,6 +21,9 @@ from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.progress import FrameProgress
 from occfusion.types import Frame
 
+MANIFEST_SECONDS = 1.0
+"""Of work that are done again after a process was killed; a signal or an error loses nothing."""
+
 
 class FramewiseStage(Stage):
     """A stage that writes a picture of each frame and keeps a manifest, so that a stopped run continues behind it.
@@ -36,6 +40,7 @@ class FramewiseStage(Stage):
         super().__init__()
         self.folder, self.identity = folder, identity
         self.records = self._earlier()
+        self._written = float("-inf")
 
     @property
     @abstractmethod
@@ -53,7 +58,13 @@ class FramewiseStage(Stage):
         Raises:
             Interrupted: a signal stopped it; what is written stays.
         """
-        signal = predict_frames(self, read, positions, progress=progress) if positions else None
+        if not positions:
+            return
+        self._written = time.monotonic()
+        try:
+            signal = predict_frames(self, read, positions, progress=progress)
+        finally:
+            self.write_manifest()
         if signal is not None:
             raise Interrupted(signal, str(self.folder.path))
 
@@ -96,14 +107,17 @@ class FramewiseStage(Stage):
         return batch
 
     def on_predict_batch_end(self, *_: Any) -> None:
-        """Writes the manifest after each frame."""
-        self.write_manifest()
+        """Writes the manifest every so often: as a whole, so that after each frame of a long video costs its square."""
+        if time.monotonic() - self._written >= MANIFEST_SECONDS:
+            self.write_manifest()
+            self._written = time.monotonic()
 
     def write_manifest(self, **more: Any) -> None:
         """Writes what was done, with what, and the fingerprints of the pictures."""
         for name, record in self.records.items():
-            pictures = (self.folder.picture(int(name)), self.folder.second_picture(int(name)))
-            record.setdefault("sha256", digests(self.folder.path, pictures))
+            if "sha256" not in record:
+                pictures = (self.folder.picture(int(name)), self.folder.second_picture(int(name)))
+                record["sha256"] = digests(self.folder.path, pictures)
         content = {"identity": self.identity, **more, "frames": dict(sorted(self.records.items()))}
         write_json(self.folder.manifest, content)
 
