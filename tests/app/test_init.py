@@ -83,7 +83,6 @@ def run(stage: InitStage, data: ZjuDataModule) -> None:
     for position in stage.wanted:
         stage.predict_step(data.train_frame(position, truth=False), 0)
         stage.on_predict_batch_end()
-    stage.write_manifest()  # as `treat` does behind the last one
 
 
 def test_occluded_frames_are_completed_and_the_others_passed_through(

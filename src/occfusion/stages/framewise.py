@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -21,9 +20,6 @@ from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.progress import FrameProgress
 from occfusion.types import Frame
 
-MANIFEST_SECONDS = 1.0
-"""Of work that are done again after a process was killed; a signal or an error loses nothing."""
-
 
 class FramewiseStage(Stage):
     """A stage that writes a picture of each frame and keeps a manifest, so that a stopped run continues behind it.
@@ -40,7 +36,6 @@ class FramewiseStage(Stage):
         super().__init__()
         self.folder, self.identity = folder, identity
         self.records = self._earlier()
-        self._written = float("-inf")
 
     @property
     @abstractmethod
@@ -58,13 +53,7 @@ class FramewiseStage(Stage):
         Raises:
             Interrupted: a signal stopped it; what is written stays.
         """
-        if not positions:
-            return
-        self._written = time.monotonic()
-        try:
-            signal = predict_frames(self, read, positions, progress=progress)
-        finally:
-            self.write_manifest()
+        signal = predict_frames(self, read, positions, progress=progress) if positions else None
         if signal is not None:
             raise Interrupted(signal, str(self.folder.path))
 
@@ -107,15 +96,13 @@ class FramewiseStage(Stage):
         return batch
 
     def on_predict_batch_end(self, *_: Any) -> None:
-        """Writes the manifest every so often: as a whole, so that after each frame of a long video costs its square."""
-        if time.monotonic() - self._written >= MANIFEST_SECONDS:
-            self.write_manifest()
-            self._written = time.monotonic()
+        """Writes the manifest after each frame."""
+        self.write_manifest()
 
     def write_manifest(self, **more: Any) -> None:
         """Writes what was done, with what, and the fingerprints of the pictures."""
         for name, record in self.records.items():
-            if "sha256" not in record:
+            if "sha256" not in record:  # or each frame would cost the reading of all before it
                 pictures = (self.folder.picture(int(name)), self.folder.second_picture(int(name)))
                 record["sha256"] = digests(self.folder.path, pictures)
         content = {"identity": self.identity, **more, "frames": dict(sorted(self.records.items()))}
