@@ -285,6 +285,17 @@ def test_missing_references_are_made_again(
     assert f"{asked} pictures in {folder / 'inpainted'} are not as they were left" in capsys.readouterr().out
 
 
+def test_tables_that_a_killed_process_did_not_keep_with_the_stage_are_kept_by_the_next(train: Train) -> None:
+    """It was killed between the stage's last file and the copies of its tables."""
+    folder, _ = train(*SHORT, "stage=optim")
+    losses = (folder / "losses.csv").read_bytes()
+    assert (folder / "optim" / "losses.csv").read_bytes() == losses
+    (folder / "optim" / "losses.csv").unlink()
+    (folder / "finished.json").unlink()
+    train(*SHORT, "stage=optim")
+    assert (folder / "optim" / "losses.csv").read_bytes() == losses == (folder / "losses.csv").read_bytes()
+
+
 def test_a_reference_that_goes_missing_meanwhile_is_named(tmp_path: Path) -> None:
     frame = Frame.__new__(Frame)
     object.__setattr__(frame, "index", 7)

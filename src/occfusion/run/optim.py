@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
+import contextlib
 import time
 from dataclasses import asdict, dataclass
 
 from occfusion.cpu.processes import is_helper
 from occfusion.data.sampling import spread
+from occfusion.files.atomic import write_bytes
 from occfusion.files.run_folder import RunFolder
 from occfusion.files.sharing import shared_folder, take_or_make
 from occfusion.files.table import read_table, write_table
@@ -48,6 +49,7 @@ class Optimisation:
         own = folder.stage("optim")
         if own.has_avatar:
             print(f"optim: finished before, taken from {own.path}")
+            _keep_tables(folder, RunFolder(own.path))
             return load_avatar(own.avatar, avatar.body)
         tell_damage(own)
         if settings.trainer.fast_dev_run or is_helper():
@@ -127,6 +129,17 @@ def start_as_observed(avatar: Avatar, training: AvatarTraining) -> float:
     return time.monotonic() - started
 
 
+def _keep_tables(source: RunFolder, target: RunFolder) -> None:
+    """Copies the stage's tables where the process that trained it was killed before it did."""
+    for table, place in ((source.curve, target.curve), (source.losses, target.losses)):
+        if place.is_file():
+            continue
+        with contextlib.suppress(ValueError):  # damaged
+            # once another stage has begun, its rows and columns are among them
+            if {row.get("stage") for row in read_table(table)} == {"optim"}:
+                write_bytes(place, table.read_bytes())
+
+
 def _copy_tables(source: RunFolder, target: RunFolder) -> None:
     """Copies what a stage leaves in the run folder besides its own folder; rows of later stages stay there."""
     for table, place in ((source.curve, target.curve), (source.losses, target.losses)):
@@ -137,7 +150,7 @@ def _copy_tables(source: RunFolder, target: RunFolder) -> None:
         except (KeyError, ValueError):  # damaged: nothing in it is known to be a row
             own = []
         if not own:
-            shutil.copyfile(table, place)
+            write_bytes(place, table.read_bytes())
             continue
         rows = read_table(table)
         columns = dict.fromkeys(name for row in (*own, *rows) for name in row)  # of all stages, as they stood
