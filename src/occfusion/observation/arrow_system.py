@@ -1,8 +1,8 @@
 """Symmetric systems shaped like an arrow: a chain of blocks, each coupled to the next alone, and a border to them all.
 
-Knots of a spline are such a chain, and what is alike in all frames is the border. Factors and variances cost as much as
-the chain is long, where a dense matrix would cost its cube (block Cholesky; variances by Takahashi's recursion: Erisman
-and Tinney, "On computing certain elements of the inverse of a sparse matrix", 1975).
+Knots of a spline are such a chain, and what is alike in all frames is the border. The cost of factors and
+variances grows with the chain's length; a dense matrix would cost its cube (block Cholesky; variances by Takahashi's
+recursion: Erisman and Tinney, "On computing certain elements of the inverse of a sparse matrix", 1975).
 """
 
 from __future__ import annotations

@@ -107,14 +107,15 @@ class InpaintStage(FramewiseStage):
         painted = partial.region
         region = partial.unseen if self._pixels == "unseen" else painted
         # where no pixel will be looked at, nobody is asked to paint it
-        inpainter = self._inpainter[0] if region.any() else CoarsePictures()
+        is_asked = bool(region.any())
+        inpainter = self._inpainter[0] if is_asked else CoarsePictures()
         picture = checked_picture(inpainter, partial)
         write_png(self.folder.second_picture(frame.index), region)
         write_png(self.folder.picture(frame.index), np.round(255.0 * picture).astype(np.uint8))
         record = {
             "painted_pixels": int(painted.sum()),
             "region_pixels": int(region.sum()),
-            "inpainted": bool(region.any()),
+            "inpainted": is_asked,
             "moved": round(float(np.abs(picture - partial.coarse)[painted].mean()), 4)
             if painted.any()
             else 0.0,
