@@ -224,7 +224,8 @@ def stop_again_and_again(place: Path, kind: str, number: int, stops: int, second
             if code not in CLEAN[sent] | {0}:
                 faults.append(f"{sent.name} ended with {code}: {said[-400:]}")
         if "Traceback" in said:
-            faults.append(f"traceback: {said[-400:]}")
+            begins = max(said.index("Traceback") - 400, 0)
+            faults.append(f"traceback after {sent.name}, exit code {code}: {said[begins : begins + 4000]}")
         if code == 0:
             break
     code, _, said = run_until(words, output, signal.SIGKILL, None)

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from types import ModuleType
 
+from occfusion.cli.interrupts import keep_interrupts
 from occfusion.cpu.loading import loading
 from occfusion.errors import OccfusionError
 
@@ -38,6 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     if arguments[:1] == ["-sc"]:
         return _complete(arguments)
+    keep_interrupts()
     try:
         return _train(arguments[1:]) if arguments[:1] == [TRAIN] else _run_verb(arguments)
     except OccfusionError as error:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from typing import Any
 import pytest
 
 from app.conftest import CONF
+from app.test_command_line import ENVIRONMENT
 from app.test_init import CountingPrior, Make
 from app.test_init import body as body
 from app.test_init import data as data
@@ -114,3 +117,35 @@ def test_ctrl_c_ends_a_multirun_with_its_own_code(
     text = (tmp_path / "sweep" / "table.md").read_text()
     assert "2 jobs" in text and "stopped by SIGINT: the same command continues" in text
     assert "Traceback" not in "".join(capsys.readouterr())
+
+
+IN_A_DESTRUCTOR = """
+import signal, sys, time
+from occfusion.cli.interrupts import keep_interrupts
+
+class Held:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)  # Python notices it here, and has nobody to tell
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+if {kept}:
+    keep_interrupts()
+    keep_interrupts()
+held = Held()
+del held
+try:
+    time.sleep(1.0)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_ctrl_c_that_falls_into_a_destructor_is_not_lost(kept: bool) -> None:
+    """Without it Python prints a traceback and goes on: as soon as it raises again, this is not needed any more."""
+    code = IN_A_DESTRUCTOR.format(kept=kept)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, "Traceback" in done.stderr) == ((130, False) if kept else (0, True)), done.stderr
+    assert not kept or done.stderr == ""

@@ -16,6 +16,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from occfusion.cli.guarded import check_arguments, guarded_hydra
+from occfusion.cli.interrupts import keep_interrupts
 from occfusion.cli.launchers import is_parallel, missing_launcher
 from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, record_job, record_start
 from occfusion.cli.optimized import answer, check_optimized_metric, is_asked
@@ -66,6 +67,7 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
         config_dir: folder of the configuration.
         arguments: what Hydra is to read; None: the whole command line.
     """
+    keep_interrupts()
     whole = sys.argv
     given = whole[1:] if arguments is None else list(arguments)
     state = _State()
