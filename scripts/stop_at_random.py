@@ -235,13 +235,31 @@ def stop_again_and_again(place: Path, kind: str, number: int, stops: int, second
     others = [
         part for part in sorted(expected.keys() | found.keys()) if expected.get(part) != found.get(part)
     ]
-    faults += [f"{part} is another one: {said[-400:]}" for part in others]
+    faults += [
+        f"{part} is another one: {_difference(expected.get(part), found.get(part))}" for part in others
+    ]
     if not faults:
         shutil.rmtree(folder, ignore_errors=True)
     return {
         "kind": kind, "number": str(number), "stops": str(len(signals)), "signals": " ".join(signals),
         "moments": " ".join(moments), "faults": "; ".join(faults),
     }  # fmt: skip
+
+
+def _difference(expected: object, found: object) -> str:
+    """Returns where two contents part: the first differing line of a table, names of differing tensors."""
+    if expected is None or found is None:
+        return "it is missing here" if found is None else "nobody who was not stopped has it"
+    if isinstance(expected, dict) and isinstance(found, dict):
+        return ", ".join(
+            key for key in sorted(expected.keys() | found.keys()) if expected.get(key) != found.get(key)
+        )
+    assert isinstance(expected, bytes) and isinstance(found, bytes)
+    lines = zip(expected.splitlines(), found.splitlines(), strict=False)
+    number, pair = next(((k, pair) for k, pair in enumerate(lines, 1) if pair[0] != pair[1]), (0, (b"", b"")))
+    if not number:
+        return f"{len(found)} bytes for {len(expected)}, equal as far as both go"
+    return f"line {number}: {pair[1][:400]!r} for {pair[0][:400]!r}"
 
 
 def main() -> int:
