@@ -19,7 +19,7 @@ from occfusion.human.body import Body
 from occfusion.human.carry import Carried, blend_columns, carry
 from occfusion.human.deform import PoseRefiner, SkinningField, skinning_weights
 from occfusion.human.gaussians import Gaussians
-from occfusion.human.memo import Memo
+from occfusion.human.memo import Memo, Unchanged
 from occfusion.human.pose_spline import PoseSpline
 from occfusion.human.shading import brightness, posed_colors, seen_colors
 from occfusion.splat import Limits
@@ -253,7 +253,7 @@ class Avatar(nn.Module):
             )
         is_kept = len(self.skinning_offsets) == self.gaussians.num_gaussians
         if self.training and is_kept:
-            key = (self._rows_key(), id(self.skinning_offsets), self.skinning_offsets._version)
+            key = (self._rows_key(), Unchanged(self.skinning_offsets))
             kept = self._memo.get("kept", key, lambda: self._bind_offsets(self.skinning_offsets))
             return self._learn_rows(kept) if self._is_skinning_due else kept
         binding, offsets = self._bind_field()
@@ -292,8 +292,7 @@ class Avatar(nn.Module):
 
     def _field_key(self) -> Hashable:
         assert self.skinning_field is not None
-        tensors = [self.gaussians.means, *self.skinning_field.parameters()]
-        return tuple((id(tensor), tensor._version) for tensor in tensors)
+        return Unchanged(self.gaussians.means, *self.skinning_field.parameters())
 
     # -- state ----------------------------------------------------------------------------------------------
 
