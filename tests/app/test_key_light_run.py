@@ -30,6 +30,7 @@ def train(root: Path, spec: SceneSpec, *overrides: str) -> Path:
         f"body.path={root / spec.name / 'body.npz'}", "trainer.enable_progress_bar=false", "trainer.max_steps=2",
         "optim.lambda_lpips=0", "refine.lambda_lpips=0", "evaluation.held_out=false", "evaluation.curve=false",
         "evaluation.training_views=false", "evaluation.perceptual=false", "dataset.test_frames=[0,10,9]",
+        "optim.align_poses=false", "optim.unseen_colors=nearest",
     ]  # fmt: skip
     with initialize_config_dir(str(CONF), version_base="1.3"):
         app.run(compose("config", [*fixed, *overrides]), folder_chosen_by_user=True)

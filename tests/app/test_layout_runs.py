@@ -22,7 +22,7 @@ CONF = Path(__file__).parents[2] / "conf"
 LIGHT = (
     "trainer.enable_progress_bar=false", "optim.lambda_lpips=0", "evaluation.perceptual=false",
     "evaluation.curve_images=1", "evaluation.training_stride=2", "evaluation.turntable=0", "trainer.max_steps=3",
-    "optim.steps=3",
+    "optim.steps=3", "optim.align_poses=false", "optim.unseen_colors=nearest",
 )  # fmt: skip
 
 

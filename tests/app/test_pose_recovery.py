@@ -25,7 +25,7 @@ def test_corrections_bring_the_body_nearer_to_the_true_one(tmp_path: Path) -> No
         "variant=A", "dataset=zju", f"dataset.root={tmp_path}", f"dataset.scene={SPEC.name}",
         f"body.path={tmp_path / SPEC.name / 'body.npz'}", f"output_dir={tmp_path / 'run'}",
         "dataset.occlusion.kind=none", "dataset.test_frames=[0,10,9]", "trainer.enable_progress_bar=false",
-        "optim.steps=500", "optim.lambda_lpips=0", "plan=full", "evaluation.held_out=false",
+        "optim.steps=250", "optim.lambda_lpips=0", "plan=full", "evaluation.held_out=false",
         "evaluation.training_views=false", "evaluation.curve=false", "evaluation.perceptual=false",
     ]  # fmt: skip
     with initialize_config_dir(str(CONF), version_base="1.3"):

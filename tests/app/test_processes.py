@@ -47,36 +47,42 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
         assert torch.equal(a[name], b[name]), name
 
 
-def test_two_processes_train_one_avatar(tmp_path: Path, scene_root: Path) -> None:
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, scene_root: Path) -> tuple[Path, Any, list[Any]]:
+    """A run of seven steps that nobody stopped: its folder, what it said, and both records."""
+    cwd = tmp_path_factory.mktemp("whole")
     # a slow machine is to write no row of the curve between the first and the last
-    options = ("optim.steps=6", "evaluation.curve_first_second=1e4")
-    done, (first, second) = train(tmp_path, scene_root, *options, records="whole")
-    assert done.returncode == 0, done.stderr
+    options = ("optim.steps=7", "evaluation.curve_first_second=1e4", "trainer.checkpoint_every=100")
+    return cwd, *train(cwd, scene_root, *options, records="whole")
+
+
+def test_two_processes_train_one_avatar(whole: tuple[Path, Any, list[Any]]) -> None:
+    cwd, done, (first, second) = whole
     sampler = StepSampler(10, 0)
-    dealt = [f"Camera_B1/{sampler.position_at(k):06d}" for k in range(12)]
-    assert (first["frames"][:6], second["frames"][:6]) == (dealt[0::2], dealt[1::2])
-    for step in range(6):
+    dealt = [f"Camera_B1/{sampler.position_at(k):06d}" for k in range(14)]
+    assert (first["frames"][:7], second["frames"][:7]) == (dealt[0::2], dealt[1::2])
+    for step in range(7):
         mean = (first["local"][step] + second["local"][step]) / 2
         assert torch.allclose(first["averaged"][step], mean, rtol=1e-5, atol=1e-9)
         assert torch.equal(first["averaged"][step], second["averaged"][step])
         assert not torch.allclose(first["local"][step], second["local"][step], rtol=1e-2)
     assert_same(first["state"], second["state"])
-    folder = tmp_path / "runs/zju/001-clean/A"
+    folder = cwd / "runs/zju/001-clean/A"
     written = load_file(folder / "optim" / "avatar.safetensors")
     assert torch.equal(written["gaussians.means"], first["state"]["gaussians.means"])
     assert [path.name for path in folder.parent.iterdir() if not path.name.startswith(".")] == ["A"]
     assert done.stdout.count("run folder: ") == 1 and not list(folder.rglob("*.partial"))
     assert (folder / "error_vs_time.csv").read_text().count("\noptim,") == 2
-    assert (folder / "losses.csv").read_text().count("\noptim,") == 6
+    assert (folder / "losses.csv").read_text().count("\noptim,") == 7
 
 
 @pytest.mark.slow
-def test_stopped_by_a_signal_to_one_of_them_and_resumed(tmp_path: Path, scene_root: Path) -> None:
+def test_stopped_by_a_signal_to_one_of_them_and_resumed(
+    whole: tuple[Path, Any, list[Any]], tmp_path: Path, scene_root: Path
+) -> None:
     """Both stop after the same step, and the same command gives what an uninterrupted one does, bit for bit."""
-    options = ["optim.steps=7", "trainer.checkpoint_every=100"]
-    whole, (expected, _) = train(tmp_path, scene_root, *options, "output_dir=whole", records="whole")
-    assert whole.returncode == 0, whole.stderr
-    options += ["output_dir=parts", f"shared_dir={tmp_path / 'apart'}"]  # or the whole run's result is taken
+    expected = whole[2][0]
+    options = ["optim.steps=7", "evaluation.curve_first_second=1e4", "trainer.checkpoint_every=100"]
     stopped, records = train(tmp_path, scene_root, *options, records="stopped", STOP_AT="3")
     assert stopped.returncode == 143, stopped.stderr
     assert "the same command continues" in stopped.stderr
@@ -90,23 +96,18 @@ def test_stopped_by_a_signal_to_one_of_them_and_resumed(tmp_path: Path, scene_ro
 
 @pytest.mark.slow
 def test_densification_is_the_same_in_both(tmp_path: Path, scene_root: Path) -> None:
-    """Gaussians are added between steps, and what takes their place is averaged as before."""
-    done, (first, second) = train(tmp_path, scene_root, "optim.steps=6", *DENSE, records="dense")
-    assert done.returncode == 0, done.stderr
-    assert first["gaussians"] == second["gaussians"] and first["gaussians"][-1] > first["gaussians"][0]
-    assert_same(first["state"], second["state"])
-    for step in range(6):
-        mean = (first["local"][step] + second["local"][step]) / 2
-        assert torch.allclose(first["averaged"][step], mean, rtol=1e-5, atol=1e-9)
-    stopped, _ = train(
-        tmp_path, scene_root, "optim.steps=7", *DENSE, "output_dir=p", records="p", STOP_AT="3"
-    )
+    """Gaussians are added between steps, and what takes their place is averaged as before; also behind a stop."""
+    options = ("optim.steps=7", *DENSE)
+    stopped, before = train(tmp_path, scene_root, *options, records="before", STOP_AT="4")
     assert stopped.returncode == 143, stopped.stderr
-    resumed, (first, second) = train(
-        tmp_path, scene_root, "optim.steps=7", *DENSE, "output_dir=p", records="q"
-    )
+    resumed, after = train(tmp_path, scene_root, *options, records="after")
     assert resumed.returncode == 0, resumed.stderr
-    assert_same(first["state"], second["state"])
+    for steps, (first, second) in ((4, before), (3, after)):
+        assert first["gaussians"] == second["gaussians"] and first["gaussians"][-1] > first["gaussians"][0]
+        assert_same(first["state"], second["state"])
+        for step in range(steps):
+            mean = (first["local"][step] + second["local"][step]) / 2
+            assert torch.allclose(first["averaged"][step], mean, rtol=1e-5, atol=1e-9)
 
 
 @pytest.mark.slow
