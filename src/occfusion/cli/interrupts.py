@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import contextlib
 import sys
 import threading
 from typing import TYPE_CHECKING
@@ -35,4 +36,5 @@ def _unraisable(error: UnraisableHookArgs) -> None:
         return
     again = threading.Timer(AGAIN_SECONDS, _thread.interrupt_main)
     again.daemon = True  # a process that has come to its end is not held by it
-    again.start()
+    with contextlib.suppress(RuntimeError):  # the interpreter ends, and nothing is left to interrupt
+        again.start()
