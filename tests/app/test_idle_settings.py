@@ -37,6 +37,8 @@ def told(*overrides: str, shares: list[float] | None = None) -> str:
         (("optim.densification.every=50",), "nothing is densified; optim.densify = False"),
         (("variant=E", "trainer.max_steps=150", "refine.densification.gradient=1e-3"),
          "no round falls into 150 steps"),
+        (("variant=E", "refine.densification.narrower=1.5"),
+         "no Gaussian is divided; refine.densification.divide = False"),
         (("trainer.max_steps=50", "optim.steps=70"), "optim.steps=70: trainer.max_steps=50 stands in its place"),
         (("optim.sh_degree=3", "optim.steps=1100"), "degree 1 is the highest that its steps reach"),
         (("optim.steps=900", "optim.rates.sh_rest=1e-3", "variant=A"), "no band above the first is reached"),

@@ -59,25 +59,43 @@ def test_two_halves_have_the_mean_and_covariance_of_the_whole() -> None:
                 assert torch.equal(divided.values[name][n], population.values[name][row])
 
 
-@pytest.mark.parametrize("opacity", [0.005, 0.1, 0.5, 0.9, 0.999])
-def test_two_halves_cover_the_area_of_the_whole(opacity: float) -> None:
+@pytest.mark.parametrize(
+    ("opacity", "narrower"),
+    [(0.005, 1.0), (0.1, 1.0), (0.5, 1.0), (0.9, 1.0), (0.999, 1.0), (0.005, 1.5), (0.5, 1.5), (0.9, 1.5)],
+)
+def test_two_halves_cover_the_area_of_the_whole(opacity: float, narrower: float) -> None:
     """By a sum over a fine grid of what light they hold back, one behind the other."""
     gaussians = made(1)
     with torch.no_grad():
         gaussians.log_scales.copy_(torch.tensor([[0.3, 1.0, 0.2]]).log() * 0.5)
         gaussians.opacity_logits.fill_(math.log(opacity / (1 - opacity)))
-    divided = editing.edit_divide(editing.read(gaussians, None), torch.ones(1, dtype=torch.bool))
+    divided = editing.edit_divide(editing.read(gaussians, None), torch.ones(1, dtype=torch.bool), narrower)
     half = float(divided.values["opacity_logits"].sigmoid()[0])
     long, short = 1.0, 0.3
     x, y = np.meshgrid(np.linspace(-8, 8, 801), np.linspace(-3, 3, 601))
 
-    def bell(at: float, length: float) -> np.ndarray:
-        return np.exp(-(((x - at) / length) ** 2) / 2 - (y / short) ** 2 / 2)
+    def bell(at: float, length: float, width: float) -> np.ndarray:
+        return np.exp(-(((x - at) / length) ** 2) / 2 - (y / width) ** 2 / 2)
 
     apart, length = editing.DIVIDED_BY * long, long * math.sqrt(1 - editing.DIVIDED_BY**2)
-    whole = (opacity * bell(0.0, long)).sum()
-    both = (1 - (1 - half * bell(-apart, length)) * (1 - half * bell(apart, length))).sum()
+    whole = (opacity * bell(0.0, long, short)).sum()
+    halves = (half * bell(side * apart, length, short / narrower) for side in (-1, 1))
+    both = (1 - (1 - next(halves)) * (1 - next(halves))).sum()
     assert both == pytest.approx(whole, rel=1e-6)
+
+
+def test_opaque_ones_that_become_narrower_stay_opaque() -> None:
+    """They would have to be more than that to cover the same; without a bound that would be no number."""
+    gaussians = made(2, torch.float32)
+    with torch.no_grad():
+        gaussians.opacity_logits.copy_(torch.tensor([9.0, 40.0]))
+    divided = editing.edit_divide(editing.read(gaussians, None), torch.ones(2, dtype=torch.bool), 3.0)
+    assert bool((divided.values["opacity_logits"] > 5.0).all())
+    assert bool(torch.isfinite(divided.values["opacity_logits"]).all())
+    whole, parts = gaussians.log_scales.detach(), divided.values["log_scales"]
+    across = whole.argsort(dim=1)[:, :2]
+    apart = whole.gather(1, across) - parts[:2].gather(1, across)
+    assert torch.allclose(apart, torch.full_like(apart, math.log(3.0)), atol=1e-5)
 
 
 def test_halves_start_without_momentum_and_with_the_second_moment_of_the_whole() -> None:

@@ -56,6 +56,9 @@ class Densification:
         "a Gaussian that is worked on is replaced by two that together look like it; false: cloned or split at drawn "
         "places, as in GauHuman, which changes the picture and sharpens it",
     )
+    narrower: float = setting(
+        1.0, "by how much the two of a divided Gaussian are narrower across its longest axis; above 1: sharper", 1
+    )
     max_gaussians: int = setting(
         60_000, "no round makes more than this; those with the largest gradients come first", 0
     )
@@ -199,7 +202,7 @@ class Densifier(nn.Module):
         counted: tuple[Tensor, Tensor, Tensor],
     ) -> tuple[Population, dict[str, Any]]:
         """As `_edit`, where those in `chosen` are divided; others of `is_candidate` may be merged."""
-        population = editing.edit_divide(population, chosen)
+        population = editing.edit_divide(population, chosen, self.settings.narrower)
         pairs = self._pairs(population, _extend(is_candidate[~chosen], population.size))
         population = editing.edit_merge(population, pairs)
         counts = {

@@ -80,13 +80,19 @@ def edit_split(population: Population, chosen: Tensor, generator: torch.Generato
     return _append(edit_keep(population, ~chosen), values, moments)
 
 
-def edit_divide(population: Population, chosen: Tensor) -> Population:
+def edit_divide(population: Population, chosen: Tensor, narrower: float = 1.0) -> Population:
     """Returns the population with each Gaussian in `chosen [N]` (bool) replaced by two that look like it.
 
     They lie on both sides of its centre on its longest axis and are shorter along that axis, so that both together
     have its mean and covariance. Their opacity makes them cover the area that it covered in a picture along that axis,
     where they overlap counted once. Colours and all else are its own: the picture stays nearly as it was, and what was
     trained is not lost. They stand at the end; the others keep their order.
+
+    Args:
+        population: all Gaussians.
+        chosen: those to divide, bool `[N]`.
+        narrower: by how much both are narrower across that axis. Above 1 they are sharper than the whole, and more
+            opaque for it; where that would take more than opaque ones, they cover less than it did.
     """
     rows = chosen.nonzero()[:, 0]
     whole = {name: value[rows] for name, value in population.values.items()}
@@ -96,31 +102,34 @@ def edit_divide(population: Population, chosen: Tensor) -> Population:
     axes = quaternion_to_matrix(whole["raw_quats"])
     along = axes.gather(2, longest[:, None].expand(-1, 3, 1)).squeeze(-1)
     shorter = math.sqrt(1.0 - DIVIDED_BY**2)
-    shrunk = scales.scatter(1, longest, length * shorter)
+    shrunk = (scales / narrower).scatter(1, longest, length * shorter)
     halves = []
     for side in (-1.0, 1.0):
         values = dict(whole)
         values["means"] = whole["means"] + side * DIVIDED_BY * length * along
         values["log_scales"] = shrunk.clamp(MIN_SCALE, MAX_SCALE).log()
-        values["opacity_logits"] = _halved(whole["opacity_logits"], shorter)
+        values["opacity_logits"] = _halved(whole["opacity_logits"], shorter, narrower)
         halves.append(values)
     both = {name: torch.cat([half[name] for half in halves]) for name in whole}
     return _append(edit_keep(population, ~chosen), both, _inherit(population, rows.repeat(2)))
 
 
-def _halved(logits: Tensor, shorter: float) -> Tensor:
+def _halved(logits: Tensor, shorter: float, narrower: float) -> Tensor:
     """Returns the opacities, as logits, of two halves that cover what one Gaussian did.
 
-    One of opacity o covers `o A`, two of opacity p and of the area `s A` each `s A (2 p - E p^2 / 2)`: the integral of
-    the product of two Gaussians at a distance of 2 d is `E = exp(-(d / s)^2)` times that of the square of one.
+    One of opacity o covers `o A`, two of opacity p and of the area `s A / w` each `s A (2 p - E p^2 / 2) / w`: the
+    integral of the product of two Gaussians at a distance of 2 d is `E = exp(-(d / s)^2)` times that of the square of
+    one.
 
     Args:
         logits: of the whole, `[N]`.
         shorter: s, with d^2 = 1 - s^2.
+        narrower: w.
     """
     overlap = math.exp(1.0 - 1.0 / shorter**2)
     whole = logits.double().clamp(-MAX_LOGIT, MAX_LOGIT).sigmoid()
-    half = (2.0 - (4.0 - 2.0 * overlap * whole / shorter).sqrt()) / overlap
+    under = 4.0 - 2.0 * overlap * whole * narrower / shorter
+    half = ((2.0 - under.clamp(min=0.0).sqrt()) / overlap).clamp(max=1.0)
     return torch.logit(half).clamp(-MAX_LOGIT, MAX_LOGIT).to(logits)
 
 

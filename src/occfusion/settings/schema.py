@@ -277,6 +277,10 @@ def settings_hash(settings: Settings) -> str:
     for key in ("turn", "facing"):  # unset they change nothing: runs from before they existed go on
         if relevant["dataset"].get(key) is None:
             relevant["dataset"].pop(key, None)
+    for stage in {"optim", "refine"} & relevant.keys():  # likewise
+        rule = relevant[stage].get("densification", {})
+        if rule.get("narrower") == 1.0:
+            del rule["narrower"]
     return hashlib.sha256(json.dumps(relevant, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
