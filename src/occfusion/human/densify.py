@@ -57,7 +57,9 @@ class Densification:
         "places, as in GauHuman, which changes the picture and sharpens it",
     )
     narrower: float = setting(
-        1.0, "by how much the two of a divided Gaussian are narrower across its longest axis; above 1: sharper", 1
+        1.0,
+        "by how much the two of a divided Gaussian are narrower across its longest axis; above 1: sharper",
+        1,
     )
     max_gaussians: int = setting(
         60_000, "no round makes more than this; those with the largest gradients come first", 0

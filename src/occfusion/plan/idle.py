@@ -96,7 +96,10 @@ def _of_stage(
         why = reasons.get(part, f"{stage}.densify = {asked.densify}")
         yield f"{stage}.densification", f"nothing is densified; {why}"
     elif not planned.densification.divide:
-        yield f"{stage}.densification.narrower", f"no Gaussian is divided; {stage}.densification.divide = False"
+        yield (
+            f"{stage}.densification.narrower",
+            f"no Gaussian is divided; {stage}.densification.divide = False",
+        )
     if not planned.lambda_ssim:
         yield f"{stage}.ssim_margin", f"the stage has no structural term; {stage}.lambda_ssim = 0"
     if not planned.lambda_lpips:

@@ -349,7 +349,7 @@ class RefineSettings(AvatarSettings):
     """The refinement stage (paper §4.3)."""
 
     references: ReferenceSettings = field(default_factory=ReferenceSettings)
-    steps: int = with_default(AvatarSettings, "steps", 1800)
+    steps: int = with_default(AvatarSettings, "steps", 1300)
     lambda_rgb: float = with_default(AvatarSettings, "lambda_rgb", 1.0)
     lambda_mask: float = with_default(AvatarSettings, "lambda_mask", 2.0)
     lambda_ssim: float = with_default(AvatarSettings, "lambda_ssim", 0.2)
@@ -359,7 +359,14 @@ class RefineSettings(AvatarSettings):
     densify: bool = with_default(AvatarSettings, "densify", True)
     densification: Densification = field(
         default_factory=lambda: Densification(
-            after_step=0, before_step=601, gradient=4e-4, from_body=0.15, max_gaussians=15_000
+            after_step=0,
+            every=100,
+            before_step=601,
+            gradient=4e-4,
+            from_body=0.15,
+            divide=True,
+            narrower=1.5,
+            max_gaussians=15_000,
         )
     )
     rates_at_end: float = with_default(AvatarSettings, "rates_at_end", 0.3)
