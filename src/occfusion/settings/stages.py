@@ -200,8 +200,7 @@ class SurfaceSettings:
     )
     hold: bool = setting(
         True,
-        "bound how far Gaussians stand off clothes and body, and reach out of them, where the depth is not known; and "
-        "leave colours of what no frame shows as they were completed",
+        "bound how far Gaussians stand off clothes and body, and reach out of them, where the depth is not known",
     )
     every: int = setting(
         4, "steps from one such view to the next, which then has that many times the weight", 1, 10_000

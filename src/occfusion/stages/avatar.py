@@ -224,8 +224,6 @@ class AvatarStage(Stage):
         """Checks the gradients and collects what densification needs of them."""
         name = "" if self.frame is None else self.frame.name
         check_finite_gradients(optimizer.param_groups, self.name, self.global_step, name)
-        if self.surface is not None:
-            self.surface.keep_colours(self.avatar)
         if self.densifier is not None and self._screen_offsets is not None:
             gradient = self._screen_offsets.grad
             assert gradient is not None and self._radii is not None and self._camera is not None

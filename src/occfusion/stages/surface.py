@@ -69,7 +69,6 @@ class SurfacePrior:
         self._axis = torch.from_numpy(known.axis).float().to(renderer.device)
         self._ignorance = torch.from_numpy(known.ignorance).float().to(renderer.device)
         self._normal = torch.from_numpy(normals).float().to(renderer.device)
-        self._is_seen = torch.from_numpy(known.is_seen).to(renderer.device)
         self._thickness = torch.from_numpy(thickness).float().clamp(min=0.0).to(renderer.device)
 
     def weight(self, name: str) -> float:
@@ -115,20 +114,6 @@ class SurfacePrior:
         across, along = ((turns * direction[:, :, None]).sum(dim=1).abs() for direction in (normal, axis))
         longest = room[:, None] * torch.minimum(THICK / across.clamp(min=1e-3), LONG / along.clamp(min=1e-3))
         gaussians.log_scales[held] = torch.minimum(gaussians.log_scales[held], longest.log())
-
-    @torch.no_grad()
-    def keep_colours(self, avatar: Avatar) -> None:
-        """Takes the gradient from colours of places that no frame shows, so that they stay as they were completed.
-
-        What reaches them is what shines through in front, and as little as it is: Adam takes full steps by it.
-        """
-        gaussians = avatar.gaussians
-        if not self.settings.hold:
-            return
-        is_free = self._is_seen[gaussians.vertex_index].to(gaussians.sh0.dtype)[:, None, None]
-        for colours in (gaussians.sh0, gaussians.sh_rest):
-            if colours.grad is not None:
-                colours.grad.mul_(is_free)
 
     def _seen_from_a_side(self, avatar: Avatar, step: int) -> dict[str, Tensor]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_039 + step)
