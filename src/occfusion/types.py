@@ -36,6 +36,10 @@ class Camera:
         """Returns the camera centre in world coordinates, `[3]`, metres."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
+    def depths(self, points: Tensor) -> Tensor:
+        """Returns how far points `[N, 3]` lie before the camera along its axis, `[N]`, metres."""
+        return points @ self.viewmat[2, :3].to(points) + self.viewmat[2, 3].to(points)
+
     def resized(self, width: int, height: int) -> Camera:
         """Returns the camera of the same picture resampled to `width` x `height`."""
         sx, sy = width / self.width, height / self.height

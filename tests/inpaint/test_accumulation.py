@@ -10,7 +10,16 @@ from torch.testing import assert_close
 
 from occfusion.human import Avatar
 from occfusion.human.rendering import Renderer
-from occfusion.inpaint.accumulation import ENOUGH, Accumulated, accumulate, paint_observed, paint_unseen
+from occfusion.inpaint.accumulation import (
+    BEHIND,
+    BLUR,
+    ENOUGH,
+    Accumulated,
+    accumulate,
+    learning_shares,
+    paint_observed,
+    paint_unseen,
+)
 from occfusion.splat import rasterize
 from occfusion.types import Frame
 
@@ -41,6 +50,72 @@ def one_by_one(avatar: Avatar, frame: Frame) -> tuple[torch.Tensor, torch.Tensor
             weights.append(share.sum())
             sums.append((share[..., None] * frame.rgb).sum(dim=(0, 1)))
     return torch.stack(weights), torch.stack(sums)
+
+
+def pictures_one_by_one(avatar: Avatar, frame: Frame) -> tuple[torch.Tensor, torch.Tensor]:
+    """Blending weights in visible pixels, `[N, H, W]`, and depths along the camera's axis, `[N]`."""
+    with torch.no_grad():
+        cloud = avatar(frame.pose, frame.camera.centre)
+        shares = []
+        for k in range(len(cloud.means)):
+            colors = torch.zeros_like(cloud.colors)
+            colors[k] = 1.0
+            shares.append(
+                rasterize(
+                    cloud.means, None, None, cloud.opacities, colors, frame.camera.viewmat, frame.camera.K, SIZE, SIZE,
+                    covariances=cloud.covariances, backend="torch",
+                ).rgb[..., 0] * frame.visible_mask
+            )  # fmt: skip
+    places = torch.cat([cloud.means, torch.ones(len(cloud.means), 1)], dim=1)
+    return torch.stack(shares), (places @ frame.camera.viewmat.to(places).T)[:, 2]
+
+
+def test_what_counts_as_in_front_follows_the_depth_of_its_pixels(
+    avatar: Avatar, make_frame: MakeFrame
+) -> None:
+    """Pixel by pixel: how far behind their mean depth a Gaussian lies in the mean of its own pixels."""
+    frames = [make_frame(0), make_frame(1, left_half())]
+    found = accumulate(avatar, frames, RENDERER)
+    expected = torch.zeros(avatar.gaussians.num_gaussians)
+    for frame in frames:
+        shares, depths = pictures_one_by_one(avatar, frame)
+        mean_depth = (shares * depths[:, None, None]).sum(dim=0) / shares.sum(dim=0).clamp(min=1e-6)
+        weights = shares.sum(dim=(1, 2))
+        own = (shares * mean_depth).sum(dim=(1, 2)) / weights.clamp(min=1e-9)
+        expected += weights / (1.0 + ((depths - own - BEHIND) / BLUR).exp())
+    assert_close(found.in_front, expected, rtol=1e-3, atol=1e-3)
+    assert (found.in_front <= found.weights).all()
+    behind = found.weights > 2.0 * found.in_front
+    assert behind.any() and not behind.all(), "some of the scene's Gaussians shine through others"
+
+
+def test_the_far_side_of_a_body_is_behind_and_alone_it_is_in_front(
+    avatar: Avatar, make_frame: MakeFrame
+) -> None:
+    frame = make_frame(0)
+    _, depths = pictures_one_by_one(avatar, frame)
+    far = depths > depths.median() + 0.1
+    both = accumulate(avatar, [frame], RENDERER, opacity=0.6)
+    with torch.no_grad():
+        avatar.gaussians.means[~far] += 100.0  # out of the picture
+    alone = accumulate(avatar, [frame], RENDERER, opacity=0.6)
+    count = (both.weights[far] > 0.5) & (alone.weights[far] > 0.5)
+    assert count.any()
+    assert (both.in_front / both.weights)[far][count].median() < 0.1
+    assert (alone.in_front / alone.weights)[far][count].median() > 0.9
+
+
+def test_learning_shares_are_of_what_vertices_show_in_front(avatar: Avatar) -> None:
+    """The Gaussians of a vertex count together; what only shines through counts nothing."""
+    vertices = len(avatar.da_vertices)
+    rows = torch.arange(avatar.gaussians.num_gaussians) % 3
+    avatar.gaussians.set_vertex_index(rows)
+    weights = torch.full((len(rows),), 1e3)
+    in_front = torch.where(rows == 0, 0.0, torch.where(rows == 1, ENOUGH / (rows == 1).sum(), 1e6))
+    shares = learning_shares(avatar, Accumulated(torch.zeros(len(rows), 3), weights, in_front))
+    assert shares.shape == (vertices,)
+    assert_close(shares[:3], torch.tensor([0.0, 0.5, 1.0]), rtol=0, atol=1e-5)
+    assert (shares[3:] == 0).all()
 
 
 def test_weights_and_colours_are_those_of_the_visible_pixels(avatar: Avatar, make_frame: MakeFrame) -> None:
@@ -112,7 +187,7 @@ def test_the_avatar_is_not_changed_and_grows_no_gradient(avatar: Avatar, make_fr
 
 
 def test_seen_grows_with_the_weight() -> None:
-    seen = Accumulated(torch.zeros(3, 3), torch.tensor([0.0, ENOUGH, 1e6])).seen
+    seen = Accumulated(torch.zeros(3, 3), torch.tensor([0.0, ENOUGH, 1e6]), torch.zeros(3)).seen
     assert_close(seen, torch.tensor([0.0, 0.5, 1.0]), rtol=0, atol=1e-5)
 
 
@@ -128,7 +203,7 @@ def test_what_nobody_saw_is_painted_and_what_was_seen_stays(avatar: Avatar, make
         own = [avatar(pose, centre).colors for centre in centres]
     nearby = torch.rand(count, 3, generator=torch.Generator().manual_seed(5)) * 0.2 + 0.4
     weights = torch.tensor([0.0, 1e12, ENOUGH]).repeat(count)[:count]
-    paint_unseen(avatar, Accumulated(nearby, weights))
+    paint_unseen(avatar, Accumulated(nearby, weights, weights))
     for centre, before in zip(centres, own, strict=True):
         with torch.no_grad():
             after = avatar(pose, centre).colors

@@ -137,7 +137,7 @@ def test_gaussians_of_an_avatar_take_the_colours_of_their_places(completer):
     )
     filled, seen, _ = floats(make_example(2, 11, validation=True))
     # weights of which `seen` follows
-    accumulated = Accumulated(filled, 1000.0 * (seen > 0.5))
+    accumulated = Accumulated(filled, (weights := 1000.0 * (seen > 0.5)), weights)
     completed, completion = completer.of_avatar(avatar, accumulated)
     known = seen > 0.5
     assert float((completed.colors - filled).abs()[known].mean()) < 0.01

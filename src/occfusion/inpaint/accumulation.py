@@ -22,6 +22,9 @@ Half of the Gaussians that are seen at all have enough: few pixels for many Gaus
 NEIGHBOURS = 6
 MIRROR_DISTANCE = 0.03
 """Metres that a neighbour on the other side of the body counts as farther away."""
+BEHIND, BLUR = 0.03, 0.01
+"""Metres behind what a pixel shows at which a Gaussian there counts half, and within which that changes: limbs are
+thicker, and the layer that Gaussians of one side make is thinner."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +35,12 @@ class Accumulated:
         colors: mean observed colour, `[N, 3]`, 0..1, under even light; where little was seen, that of what was
             seen nearby or at the mirrored place of the body.
         weights: visible pixels that each Gaussian made up, summed over all frames, `[N]`.
+        in_front: the part of them where it belonged to what is in front, and did not shine through it, `[N]`.
     """
 
     colors: Tensor
     weights: Tensor
+    in_front: Tensor
 
     @property
     def seen(self) -> Tensor:
@@ -50,7 +55,8 @@ def accumulate(
 
     A picture is linear in the colours of its Gaussians. The gradient of its sum over the visible pixels is
     therefore each Gaussian's blending weight there, and that of its product with the observation the weighted
-    sum of what was observed.
+    sum of what was observed. With the picture's mean depth in place of the observation it tells how far behind what
+    its pixels show a Gaussian lies.
 
     Args:
         avatar: posed for each frame; not changed.
@@ -60,23 +66,29 @@ def accumulate(
     """
     count = avatar.gaussians.num_gaussians
     means = avatar.gaussians.means.detach()
-    weights, sums = means.new_zeros(count), means.new_zeros(count, 3)
+    weights, in_front, sums = means.new_zeros(count), means.new_zeros(count), means.new_zeros(count, 3)
     for frame in frames:
         with torch.no_grad():
             carried = avatar.deform(frame.pose.to(means.device))
             shade, opacities = avatar.brightness(carried), avatar.gaussians.opacities
             if opacity is not None:
                 opacities = torch.full_like(opacities, opacity)
-        colors = torch.zeros_like(carried.means).requires_grad_()
+        depths = frame.camera.depths(carried.means)
+        ones, zeros = torch.ones_like(depths), torch.zeros_like(depths)
+        colors = torch.stack([depths, ones, zeros], dim=1).requires_grad_()
         cloud = Cloud(carried.means, carried.covariances, opacities, colors, avatar.dilation)
         rgb = renderer.draw(cloud, frame.camera).rgb
-        shown = frame.visible_mask[..., None].to(rgb).expand_as(rgb)
-        (seen,) = torch.autograd.grad(rgb, colors, shown, retain_graph=True)
-        (observed,) = torch.autograd.grad(rgb, colors, shown * frame.rgb.to(rgb))
+        visible = frame.visible_mask.to(rgb)
+        depth = (rgb[..., 0] / rgb[..., 1].clamp(min=1e-6)).detach()
+        asked = torch.stack([visible, visible * depth, torch.zeros_like(visible)], dim=-1)
+        (seen,) = torch.autograd.grad(rgb, colors, asked, retain_graph=True)
+        (observed,) = torch.autograd.grad(rgb, colors, visible[..., None] * frame.rgb.to(rgb))
+        behind = depths - seen[:, 1] / seen[:, 0].clamp(min=1e-9)
         weights += seen[:, 0]
+        in_front += seen[:, 0] * torch.sigmoid((BEHIND - behind) / BLUR)
         sums += observed if shade is None else observed / shade[:, None]
     colors = sums / weights.clamp(min=1e-6)[:, None]
-    return Accumulated(with_neighbours(colors, weights, means), weights)
+    return Accumulated(with_neighbours(colors, weights, means), weights, in_front)
 
 
 @torch.no_grad()
@@ -99,6 +111,17 @@ def paint_unseen(avatar: Avatar, accumulated: Accumulated) -> None:
     nearby = _as_harmonics(accumulated.colors.to(gaussians.sh0))
     gaussians.sh0.copy_(seen * gaussians.sh0 + (1.0 - seen) * nearby)
     gaussians.sh_rest.mul_(seen)
+
+
+def learning_shares(avatar: Avatar, accumulated: Accumulated) -> Tensor:
+    """Returns what share of the learning rate the colours at each vertex get, `[V]`, 0..1.
+
+    As large as the share of what frames show there. What only shines through has gradients of next to nothing, but
+    Adam takes full steps by them: over a training they would carry such colours anywhere.
+    """
+    count = len(avatar.da_vertices)
+    total = accumulated.in_front.new_zeros(count)
+    return known_share(total.index_add(0, avatar.gaussians.vertex_index, accumulated.in_front))
 
 
 def known_share(weights: Tensor) -> Tensor:

@@ -9,9 +9,10 @@ from dataclasses import asdict, dataclass
 import torch
 
 from occfusion.data.module import HumanDataModule
+from occfusion.data.sampling import spread
 from occfusion.fields.bits import PackedMasks
 from occfusion.human import Avatar, load_avatar
-from occfusion.inpaint.accumulation import accumulate, paint_unseen
+from occfusion.inpaint.accumulation import Accumulated, accumulate, learning_shares, paint_unseen
 from occfusion.inpaint.build_inpainter import make_inpainter
 from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
 from occfusion.plan.make import refined_sh_degree, steps_of
@@ -22,6 +23,9 @@ from occfusion.stages.references import References
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.targets import Masks
 from occfusion.types import Frame
+
+LOOKED_AT = 200
+"""Frames at most that say how fast colours learn."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,14 @@ class Refinement:
             return load_avatar(own.avatar, avatar.body)
         tell_damage(own)
         training.warm_up("refine")
-        references, seconds = make_references(training, avatar, identity)
+        started = time.monotonic()
+        references, accumulated = make_references(training, avatar, identity)
+        surface = training.surface_prior(refine, avatar)
+        colour_shares = None
+        if surface is not None and refine.surface.hold:
+            accumulated = accumulated or observed_colours(training, avatar, LOOKED_AT)
+            colour_shares = learning_shares(avatar, accumulated)
+        seconds = time.monotonic() - started
         is_held = refine.hidden.target == "outline" and refine.hidden.effective_weight > 0
         outlines = self._outlines(avatar) if is_held else {}
         avatar.gaussians.allocate_bands(refined_sh_degree(settings))
@@ -64,7 +75,8 @@ class Refinement:
             outlines,
             perceptual=training.metric if refine.lambda_lpips else None,
             densifier=training.densifier(refine, refine.lambda_rgb),
-            surface=training.surface_prior(refine, avatar),
+            surface=surface,
+            colour_shares=colour_shares,
             renderer=renderer,
             seed=settings.seed,
             steps_before=steps_of(settings, settings.optim),
@@ -90,8 +102,8 @@ class Refinement:
 
 def make_references(
     training: AvatarTraining, avatar: Avatar, identity: dict[str, str]
-) -> tuple[References, float]:
-    """Writes the references of a run; returns them and the seconds that it took.
+) -> tuple[References, Accumulated | None]:
+    """Writes the references of a run; returns them, and what the video shows of the Gaussians where it was asked.
 
     Args:
         training: of the run's avatar; the inpainter runs where its renderer draws.
@@ -106,7 +118,7 @@ def make_references(
     observed_frames, renderer = training.observed_frames, training.renderer
     if not any(observed_frame.evidence.occluded for observed_frame in observed_frames):
         print(f"refine: none of {len(observed_frames)} frames is occluded, none is inpainted")
-        return References(folder.inpainted, frozenset()), 0.0
+        return References(folder.inpainted, frozenset()), None
 
     def read(position: int) -> Frame:
         return data.train_frame(position, truth=False, complete=True)
@@ -115,8 +127,7 @@ def make_references(
     stage = InpaintStage(
         inpainter, avatar.eval(), observed_frames, folder.inpainted, identity, renderer, pixels
     )
-    frames = (data.train_frame(k, truth=False) for k in range(len(observed_frames)))
-    stage.accumulated = accumulate(avatar, frames, renderer)
+    stage.accumulated = observed_colours(training, avatar, len(observed_frames))
     paint_unseen(avatar, training.complete(avatar, stage.accumulated))
     wanted = stage.wanted
     if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
@@ -124,7 +135,14 @@ def make_references(
     stage.treat(read, wanted, progress=settings.trainer.enable_progress_bar)
     seconds = time.monotonic() - started
     print(f"refine: references made in {seconds:.1f} s; {stage.counted}")
-    return stage.references, seconds
+    return stage.references, stage.accumulated
+
+
+def observed_colours(training: AvatarTraining, avatar: Avatar, most: int) -> Accumulated:
+    """Returns what the training frames of a run, evenly chosen at most so many, show of an avatar's Gaussians."""
+    positions = spread(len(training.observed_frames), most)
+    frames = (training.data.train_frame(k, truth=False) for k in positions)
+    return accumulate(avatar.eval(), frames, training.renderer)
 
 
 def _make_inpainter(settings: Settings, data: HumanDataModule, device: torch.device) -> Inpainter:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import torch
 from torch import Tensor
 
 from occfusion.geometry.boxes import crop
@@ -34,6 +37,7 @@ class RefineStage(AvatarStage):
         seed: decides the perceptual crops, step by step.
         steps_before: of the optimisation stage.
         surface: what closes the surface where the video does not tell; None: nothing does.
+        colour_shares: of the learning rate that the colours at each vertex get, `[V]`, 0..1; None: all of it.
     """
 
     name = "refine"
@@ -52,6 +56,7 @@ class RefineStage(AvatarStage):
         seed: int,
         steps_before: int,
         surface: SurfacePrior | None = None,
+        colour_shares: Tensor | None = None,
     ) -> None:
         super().__init__(
             avatar, settings, perceptual=perceptual, densifier=densifier, renderer=renderer, seed=seed,
@@ -59,6 +64,7 @@ class RefineStage(AvatarStage):
         )  # fmt: skip
         self.settings = settings
         self.references = references
+        self._colour_shares = None if colour_shares is None else colour_shares.to(renderer.device)
         # no prior is asked for an outline
         self.uncertain, self.outlines = UncertainMasks(uncertain.hidden) if outlines else uncertain, outlines
 
@@ -87,3 +93,22 @@ class RefineStage(AvatarStage):
             shown, wanted = (crop(picture * looked_at[..., None], window) for picture in (rgb, wanted))
             terms["lpips"] = perceptual(shown, wanted)
         return terms
+
+    def configure_optimizers(self) -> torch.optim.Adam:
+        """Returns Adam of all parameters, whose steps of colours are shortened where `colour_shares` says so."""
+        adam = super().configure_optimizers()
+        if self._colour_shares is not None:
+            shares, gaussians, kept = self._colour_shares, self.avatar.gaussians, list[Tensor]()
+
+            def keep(*_: Any) -> None:
+                kept[:] = [colours.detach().clone() for colours in (gaussians.sh0, gaussians.sh_rest)]
+
+            @torch.no_grad()
+            def shorten(*_: Any) -> None:
+                share = shares[gaussians.vertex_index][:, None, None]
+                for colours, before in zip((gaussians.sh0, gaussians.sh_rest), kept, strict=True):
+                    colours.copy_(before.lerp_(colours, share))
+
+            adam.register_step_pre_hook(keep)
+            adam.register_step_post_hook(shorten)
+        return adam
