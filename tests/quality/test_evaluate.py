@@ -247,6 +247,32 @@ def test_regions_by_what_training_saw():
     assert sum(row.pixels for row in rows.values()) == int(PERSON.sum())
 
 
+@pytest.mark.parametrize("name, number", [("seen_many", MANY), ("seen_one", ONE), ("unseen", UNSEEN)])
+@pytest.mark.parametrize("last", [30, 31])
+def test_the_perceptual_metric_looks_at_what_is_hardly_seen_where_it_is_most_of_the_person(
+    name, number, last
+):
+    """The person's rows are 10 to 50: 20 of them are half, 21 are more."""
+    shown = np.full((HEIGHT, WIDTH), MANY if number != MANY else ONE, np.int8)
+    shown[10:last, 12:36] = number
+    shown[0:5] = number  # outside the person: makes no share of it
+    seen = []
+
+    class Metric:
+        def over_black(self, rgb, truth):
+            seen.append((rgb.clone(), truth.clone()))
+            return 0.25
+
+    row = evaluate_image(rendering(), frame(), (name,), Metric(), lambda _: shown)[0]
+    if last == 30 or name == "seen_many":
+        assert row.lpips is None and not seen
+        return
+    assert row.lpips == 0.25
+    counted = PERSON & torch.from_numpy(shown == number)
+    assert sum(int((picture.sum(dim=2) > 0).sum()) for _, picture in seen) <= int(counted.sum())
+    assert seen[0][1].sum() == pytest.approx(float(frame().truth.rgb[counted].sum()), rel=1e-5)
+
+
 @pytest.mark.parametrize("classes", [None, lambda _: None])
 def test_what_was_seen_is_null_where_it_is_not_known(classes):
     rows = evaluate_image(rendering(), frame(), ("full", "seen_many", "unseen"), None, classes)

@@ -37,6 +37,10 @@ from occfusion.types import Box, Frame, Rendering
 Classes = Callable[[Frame], NDArray[np.int8] | None]
 """Gives the class (`geometry.coverage`) of the place that each pixel of a person shows; None where it is not known."""
 
+HARDLY_SEEN = ("seen_one", "unseen")
+MOST = 0.5
+"""Share of a person's pixels above which a class of places is what a picture shows, and the perceptual metric has
+something to look at. Where most is seen from many directions, the whole picture has a figure anyway."""
 TRIMMED_EVERY = 16
 """Images: windows of ever other sizes leave holes in the heap, 200 MB of them over a few hundred images."""
 
@@ -52,7 +56,8 @@ class ImageRow:
         pixels: size of the region; 0 when the picture has no such region or its truth is not known.
         psnr: decibels, capped at 100.
         ssim: mean over the region.
-        lpips: the perceptual metric that was given, whatever its name.
+        lpips: the perceptual metric that was given, whatever its name; of a class of places only where it makes most
+            of the person.
         mask_iou: of alpha > 0.5 with the person's mask.
         depth_error_mm: mean absolute error of depth where alpha > 0.5 and the true surface is.
         spill: share of the squared error that lies outside the true mask; of whole frames alone.
@@ -141,8 +146,9 @@ def evaluate_image(
         )
         figures: dict[str, Any] = {}
         if comparison is not None:
-            # scattered pixels: a network that looks at their surroundings says nothing of them
-            figures = _figures(comparison, rgb, alpha > OCCUPIED, None if by_class else perceptual)
+            # of scattered pixels, a network that looks at their surroundings says nothing
+            is_whole = not by_class or (region in HARDLY_SEEN and _is_most(comparison))
+            figures = _figures(comparison, rgb, alpha > OCCUPIED, perceptual if is_whole else None)
             figures["depth_error_mm"] = _depth_error(comparison, frame, rendering)
             if region == "full":
                 assert comparison.person is not None
@@ -204,6 +210,12 @@ def _of_class(
     pixels = mask & torch.from_numpy(shown == CLASSES[region]).to(device)
     box = padded_box(pixels)
     return None if box is None else _Comparison(frame.truth.rgb.to(device), mask, pixels, pixels, box)
+
+
+def _is_most(comparison: _Comparison) -> bool:
+    """Returns whether a region's pixels are most of the person's."""
+    assert comparison.pixels is not None and comparison.person is not None
+    return int(comparison.pixels.sum()) > MOST * int(comparison.person.sum())
 
 
 def _inside(box: Box, like: Tensor) -> Tensor:
