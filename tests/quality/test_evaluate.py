@@ -247,7 +247,7 @@ def test_regions_by_what_training_saw():
     assert sum(row.pixels for row in rows.values()) == int(PERSON.sum())
 
 
-@pytest.mark.parametrize("name, number", [("seen_many", MANY), ("seen_one", ONE), ("unseen", UNSEEN)])
+@pytest.mark.parametrize(("name", "number"), [("seen_many", MANY), ("seen_one", ONE), ("unseen", UNSEEN)])
 @pytest.mark.parametrize("last", [30, 31])
 def test_the_perceptual_metric_looks_at_what_is_hardly_seen_where_it_is_most_of_the_person(
     name, number, last
