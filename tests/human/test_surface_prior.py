@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import torch
 from occfusion.geometry.normals import vertex_normals
 from occfusion.human import Avatar, Gaussians
 from occfusion.human.body import Body
-from occfusion.human.observability import Observability, canonical_views
+from occfusion.human.observability import UNSURE, Observability, ObservedSurface, canonical_views
 from occfusion.human.rendering import Renderer
 from occfusion.settings.stages import SurfaceSettings
 from occfusion.stages.surface import DEPTH_SCALE, EXTENT_SCALE, INWARDS, LONG, OUTWARDS, THICK, SurfacePrior
@@ -84,11 +85,17 @@ def test_depth_and_extent_against_loops(free_body):
     )
     terms = prior_of(free_body, ALL, known).terms(avatar, 0)
     gaussians, depth, extent = avatar.gaussians, [], []
+    normals = vertex_normals(free_body.da_vertices().double().numpy(), free_body.faces.numpy())
     rotations_scales = gaussians.roots().detach().double().numpy()
     for k in range(0, gaussians.num_gaussians, 7):
         vertex = int(gaussians.vertex_index[k])
         e = axis[vertex]
-        off = float((gaussians.means[k] - avatar.da_vertices[vertex]).detach().double().numpy() @ e)
+        # clothes of a centimetre, as far as nobody knows better
+        dressed = (
+            avatar.da_vertices[vertex].double().numpy()
+            + 0.01**2 / (0.01 + UNSURE) * known.ignorance[vertex] * normals[vertex]
+        )
+        off = float((gaussians.means[k].detach().double().numpy() - dressed) @ e)
         covariance = rotations_scales[k] @ rotations_scales[k].T
         depth.append(known.ignorance[vertex] * (math.hypot(1.0, off / DEPTH_SCALE) - 1.0))
         extent.append(
@@ -104,6 +111,43 @@ def test_what_is_seen_from_all_round_is_left_alone(free_body):
     avatar = avatar_on(free_body)
     terms = prior_of(free_body, SurfaceSettings(1.0, 1.0, 0.0, 0.0), known).terms(avatar, 0)
     assert all(float(term) == 0.0 for term in terms.values())
+
+
+def test_gaussians_may_begin_off_the_body_where_clothes_are(free_body):
+    """They are put off along the normal of their vertex, and are where the depth term costs least."""
+    rng = np.random.default_rng(1)
+    known = seen_from_front(free_body)
+    thickness = rng.uniform(-0.01, 0.08, len(known.ignorance))
+    ignorance = rng.uniform(0, 1, len(thickness))
+    known = replace(known, ignorance=ignorance)
+    surface = ObservedSurface(known, 0.5, 10.0, thickness, 0.005)
+    plain = Gaussians.on_body(free_body, 0, 20_000, 0.002)
+    dressed = Gaussians.on_body(free_body, 0, 20_000, 0.002, surface.heights)
+    normals = vertex_normals(free_body.da_vertices().double().numpy(), free_body.faces.numpy())
+    moved = (dressed.means - plain.means).detach().double().numpy()
+    for k in range(0, len(moved), 501):
+        vertex = int(plain.vertex_index[k])
+        worn = max(thickness[vertex], 0.0)
+        expected = worn**2 / (worn + UNSURE) * ignorance[vertex] * normals[vertex]
+        assert moved[k] == pytest.approx(expected, abs=1e-6)
+    assert torch.equal(dressed.raw_quats, plain.raw_quats) and torch.equal(
+        dressed.vertex_index, plain.vertex_index
+    )
+    assert surface.heights.max() > 0.05 and (surface.heights >= 0).all()
+    known = replace(known, ignorance=np.ones(len(ignorance)))
+    points, faces = free_body.da_vertices().double().numpy(), free_body.faces.numpy()
+    prior = SurfacePrior(
+        known, vertex_normals(points, faces), thickness, [], SurfaceSettings(1.0, 0.0, 0.0, 0.0),
+        renderer=Renderer("torch"), seed=0,
+    )  # fmt: skip
+    costs = []
+    for share in (0.0, 0.8, 1.0, 1.2):
+        heights = share * ObservedSurface(known, 0.5, 10.0, thickness, 0.005).heights
+        vertices = Gaussians.on_body(free_body, 0, 0, 0.002, heights)
+        avatar = Avatar(free_body, sh_degree=0, refine_pose=False, learn_skinning=False, gaussians=vertices)
+        costs.append(float(prior.terms(avatar, 0)["surface_depth"]))
+    assert costs[2] == pytest.approx(0.0, abs=1e-9)
+    assert min(costs[0], costs[1], costs[3]) > 1e-4 and costs[0] > costs[1]
 
 
 def test_only_what_stands_off_along_the_line_of_sight_is_pulled_back(free_body):

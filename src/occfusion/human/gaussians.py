@@ -6,7 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from occfusion.geometry.neighbours import nearest, nearest_others
@@ -81,7 +83,14 @@ class Gaussians(nn.Module):
         """Counts replacements of rows or of their body vertices: what was derived from them is stale then."""
 
     @classmethod
-    def on_body(cls, body: Body, sh_degree: int, least: int = 0, thickness: float = 0.0) -> Gaussians:
+    def on_body(
+        cls,
+        body: Body,
+        sh_degree: int,
+        least: int = 0,
+        thickness: float = 0.0,
+        heights: NDArray[np.float64] | None = None,
+    ) -> Gaussians:
         """Returns one Gaussian on each vertex of the mean-shape body in the Da pose, grey and faint.
 
         Its size is the root of the mean squared distance to its three nearest neighbours.
@@ -92,6 +101,7 @@ class Gaussians(nn.Module):
             least: where a body has fewer vertices, the middles of its largest faces are taken as well, until there
                 are so many or all faces are.
             thickness: standard deviation along the body's normal, metres; 0: Gaussians are round, as in 3DGS.
+            heights: how far along the normal they are put off each vertex, `[V]`, metres; None: nowhere.
         """
         vertices = body.da_vertices()
         means = torch.cat([vertices, _middles_of_largest(vertices, body.faces, least - len(vertices))])
@@ -99,9 +109,13 @@ class Gaussians(nn.Module):
         sizes = distances.square().mean(dim=1, keepdim=True).sqrt()
         gaussians, index = cls(means, sizes.expand(-1, 3), sh_degree), nearest(means, vertices).indices[:, 0]
         gaussians.set_vertex_index(index)
-        if thickness:
-            normals = vertex_normals(vertices.double().cpu().numpy(), body.faces.cpu().numpy())
-            gaussians._flatten(torch.from_numpy(normals).to(means)[index], thickness)
+        if thickness or heights is not None:
+            found = vertex_normals(vertices.double().cpu().numpy(), body.faces.cpu().numpy())
+            normals = torch.from_numpy(found).to(means)[index]
+            if thickness:
+                gaussians._flatten(normals, thickness)
+            if heights is not None:
+                gaussians.means.data += torch.from_numpy(heights).to(means)[index, None] * normals
         return gaussians
 
     @torch.no_grad()

@@ -381,7 +381,9 @@ def _make_avatar(planned: Settings, observed: Observed) -> Avatar:
     spline = PoseSpline.over(observed.data.train_indices, knots) if knots else None
     if knots and observed.alignment is not None and observed.alignment.is_taken:
         spline = observed.alignment.spline()
-    gaussians = Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness)
+    surface = observed.surface if optim.surface.is_used else None
+    heights = None if surface is None else surface.heights
+    gaussians = Gaussians.on_body(body, sh_degree, optim.gaussians, optim.thickness, heights)
     if optim.gaussians not in (0, found := gaussians.num_gaussians):
         why = "each vertex has one" if found > optim.gaussians else "each vertex and face has one"
         _tell("Gaussians", [f"{found} at the start, though optim.gaussians={optim.gaussians}: {why}"])

@@ -200,8 +200,8 @@ class SurfaceSettings:
     )
     hold: bool = setting(
         True,
-        "bound how far Gaussians stand off clothes and body, and reach out of them, where the depth is not known; in the "
-        "refinement, colours learn as fast as the pictures show them in front",
+        "bound how far Gaussians stand off clothes and body, and reach out of them, where the depth is not known; in "
+        "the refinement, colours learn as fast as the pictures show them in front",
     )
     every: int = setting(
         4, "steps from one such view to the next, which then has that many times the weight", 1, 10_000

@@ -12,13 +12,14 @@ from torch import Tensor
 
 from occfusion.geometry.rotation import quaternion_to_matrix
 from occfusion.human.avatar import Avatar
-from occfusion.human.observability import CanonicalView, Observability
+from occfusion.human.observability import CanonicalView, Observability, dressed_heights
 from occfusion.human.rendering import Renderer
 from occfusion.settings.stages import SurfaceSettings
 from occfusion.types import Cloud
 
 DEPTH_SCALE = 0.010
-"""Metres that a Gaussian may stand off the body along a direction of which nothing is known, before it counts."""
+"""Metres that a Gaussian may stand off the dressed body, along a direction of which nothing is known, before it
+counts."""
 EXTENT_SCALE = 0.005
 """Standard deviation along it, metres, likewise."""
 
@@ -36,7 +37,7 @@ class SurfacePrior:
 
     What was seen from many directions is left alone: each term is weighted by what the video does not say.
 
-    - `depth`: how far a Gaussian stands off the body along the direction of which least is known.
+    - `depth`: how far a Gaussian stands off the dressed body along the direction of which least is known.
     - `extent`: how far it reaches along it: a needle that is seen from its end.
     - `outline`: the occupancy of the canonical pose, from a side, against body and clothes: nothing outside, no hole.
     - `backface`: what of the body's other side shines through places that no frame shows.
@@ -69,6 +70,8 @@ class SurfacePrior:
         self._axis = torch.from_numpy(known.axis).float().to(renderer.device)
         self._ignorance = torch.from_numpy(known.ignorance).float().to(renderer.device)
         self._normal = torch.from_numpy(normals).float().to(renderer.device)
+        dressed = dressed_heights(thickness, known)[:, None] * normals
+        self._dressed = torch.from_numpy(dressed).float().to(renderer.device)
         self._thickness = torch.from_numpy(thickness).float().clamp(min=0.0).to(renderer.device)
 
     def weight(self, name: str) -> float:
@@ -83,7 +86,8 @@ class SurfacePrior:
         rows = avatar.gaussians.vertex_index
         axis, ignorance = self._axis[rows], self._ignorance[rows]
         if settings.depth:
-            off = ((avatar.gaussians.means - avatar.da_vertices[rows]) * axis).sum(dim=1) / DEPTH_SCALE
+            surface = avatar.da_vertices[rows] + self._dressed[rows]
+            off = ((avatar.gaussians.means - surface) * axis).sum(dim=1) / DEPTH_SCALE
             terms["surface_depth"] = (ignorance * _beyond(off.square())).mean()
         if settings.extent:
             along = (avatar.gaussians.roots() * axis[:, :, None]).sum(dim=1) / EXTENT_SCALE
