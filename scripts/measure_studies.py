@@ -268,7 +268,7 @@ def page(study: Study, rows: Sequence[dict[str, str]]) -> str:
         values = {key: [float(row[key]) for row in own if row[key]] for key in (*FIGURES, "seconds")}
         means = {key: fmean(some) if some else float("nan") for key, some in values.items()}
         means |= {key: 1000.0 * mean for key, mean in means.items() if key.endswith("lpips")}
-        cells = (cell.format(**means) for cell in study.cells.values())
+        cells = (cell.format(**means).replace("nan", "-") for cell in study.cells.values())
         lines.append(f"| {' | '.join((*group, *cells, str(len(own))))} |")
     return "\n".join(lines)
 
