@@ -35,23 +35,6 @@ def left_half() -> torch.Tensor:
     return hidden
 
 
-def one_by_one(avatar: Avatar, frame: Frame) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weights and weighted colours from a picture of each Gaussian alone in white among black ones."""
-    with torch.no_grad():
-        cloud = avatar(frame.pose, frame.camera.centre)
-        weights, sums = [], []
-        for k in range(len(cloud.means)):
-            colors = torch.zeros_like(cloud.colors)
-            colors[k] = 1.0
-            share = rasterize(
-                cloud.means, None, None, cloud.opacities, colors, frame.camera.viewmat, frame.camera.K, SIZE, SIZE,
-                covariances=cloud.covariances, backend="torch",
-            ).rgb[..., 0] * frame.visible_mask  # fmt: skip
-            weights.append(share.sum())
-            sums.append((share[..., None] * frame.rgb).sum(dim=(0, 1)))
-    return torch.stack(weights), torch.stack(sums)
-
-
 def pictures_one_by_one(avatar: Avatar, frame: Frame) -> tuple[torch.Tensor, torch.Tensor]:
     """Blending weights in visible pixels, `[N, H, W]`, and depths along the camera's axis, `[N]`."""
     with torch.no_grad():
@@ -68,6 +51,12 @@ def pictures_one_by_one(avatar: Avatar, frame: Frame) -> tuple[torch.Tensor, tor
             )  # fmt: skip
     places = torch.cat([cloud.means, torch.ones(len(cloud.means), 1)], dim=1)
     return torch.stack(shares), (places @ frame.camera.viewmat.to(places).T)[:, 2]
+
+
+def one_by_one(avatar: Avatar, frame: Frame) -> tuple[torch.Tensor, torch.Tensor]:
+    """Weights and weighted colours from a picture of each Gaussian alone in white among black ones."""
+    shares, _ = pictures_one_by_one(avatar, frame)
+    return shares.sum(dim=(1, 2)), (shares[..., None] * frame.rgb).sum(dim=(1, 2))
 
 
 def test_what_counts_as_in_front_follows_the_depth_of_its_pixels(

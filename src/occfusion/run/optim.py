@@ -7,21 +7,18 @@ import time
 from dataclasses import asdict, dataclass
 
 from occfusion.cpu.processes import is_helper
-from occfusion.data.sampling import spread
 from occfusion.files.atomic import write_bytes
 from occfusion.files.run_folder import RunFolder
 from occfusion.files.sharing import shared_folder, take_or_make
 from occfusion.files.table import read_table, write_table
 from occfusion.human import Avatar, load_avatar, write_gaussians_ply
-from occfusion.inpaint.accumulation import accumulate, paint_observed
+from occfusion.inpaint.accumulation import paint_observed
 from occfusion.priors.build_prior import make_score_prior
-from occfusion.run.training import AvatarTraining, tell_damage
+from occfusion.run.training import LOOKED_AT, AvatarTraining, tell_damage
 from occfusion.settings.schema import optim_hash
 from occfusion.stages.distil import Distiller
 from occfusion.stages.optim import OptimStage
 
-LOOKED_AT = 200
-"""Frames at most whose colours the Gaussians start with."""
 OPACITY = 0.95
 """Of discs on the body that are to hide what lies behind them."""
 
@@ -122,9 +119,8 @@ def start_as_observed(avatar: Avatar, training: AvatarTraining) -> float:
         avatar: before training, its Gaussians on the body; changed in place.
         training: whose training frames.
     """
-    started, data = time.monotonic(), training.data
-    frames = (data.train_frame(k, truth=False) for k in spread(len(data.train_indices), LOOKED_AT))
-    shown = accumulate(avatar.eval(), frames, training.renderer, OPACITY)
+    started = time.monotonic()
+    shown = training.accumulate(avatar, LOOKED_AT, OPACITY)
     paint_observed(avatar, training.complete(avatar, shown))
     return time.monotonic() - started
 

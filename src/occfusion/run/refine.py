@@ -9,23 +9,19 @@ from dataclasses import asdict, dataclass
 import torch
 
 from occfusion.data.module import HumanDataModule
-from occfusion.data.sampling import spread
 from occfusion.fields.bits import PackedMasks
 from occfusion.human import Avatar, load_avatar
-from occfusion.inpaint.accumulation import Accumulated, accumulate, learning_shares, paint_unseen
+from occfusion.inpaint.accumulation import Accumulated, learning_shares, paint_unseen
 from occfusion.inpaint.build_inpainter import make_inpainter
 from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
 from occfusion.plan.make import refined_sh_degree, steps_of
-from occfusion.run.training import AvatarTraining, tell_damage, training_truths
+from occfusion.run.training import LOOKED_AT, AvatarTraining, tell_damage, training_truths
 from occfusion.settings.schema import Settings
 from occfusion.stages.inpaint import InpaintStage
 from occfusion.stages.references import References
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.targets import Masks
 from occfusion.types import Frame
-
-LOOKED_AT = 200
-"""Frames at most that say how fast colours learn."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,7 @@ class Refinement:
         surface = training.surface_prior(refine, avatar)
         colour_shares = None
         if surface is not None and refine.surface.hold:
-            accumulated = accumulated or observed_colours(training, avatar, LOOKED_AT)
+            accumulated = accumulated or training.accumulate(avatar, LOOKED_AT)
             colour_shares = learning_shares(avatar, accumulated)
         seconds = time.monotonic() - started
         is_held = refine.hidden.target == "outline" and refine.hidden.effective_weight > 0
@@ -127,7 +123,7 @@ def make_references(
     stage = InpaintStage(
         inpainter, avatar.eval(), observed_frames, folder.inpainted, identity, renderer, pixels
     )
-    stage.accumulated = observed_colours(training, avatar, len(observed_frames))
+    stage.accumulated = training.accumulate(avatar, len(observed_frames))
     paint_unseen(avatar, training.complete(avatar, stage.accumulated))
     wanted = stage.wanted
     if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
@@ -136,13 +132,6 @@ def make_references(
     seconds = time.monotonic() - started
     print(f"refine: references made in {seconds:.1f} s; {stage.counted}")
     return stage.references, stage.accumulated
-
-
-def observed_colours(training: AvatarTraining, avatar: Avatar, most: int) -> Accumulated:
-    """Returns what the training frames of a run, evenly chosen at most so many, show of an avatar's Gaussians."""
-    positions = spread(len(training.observed_frames), most)
-    frames = (training.data.train_frame(k, truth=False) for k in positions)
-    return accumulate(avatar.eval(), frames, training.renderer)
 
 
 def _make_inpainter(settings: Settings, data: HumanDataModule, device: torch.device) -> Inpainter:

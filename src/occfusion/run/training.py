@@ -13,6 +13,7 @@ import numpy as np
 
 from occfusion.cpu.processes import is_helper, tell_helpers
 from occfusion.data.module import HumanDataModule
+from occfusion.data.sampling import spread
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.atomic import write_json
 from occfusion.files.digest import digest
@@ -22,7 +23,7 @@ from occfusion.human import Avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
 from occfusion.human.observability import CanonicalView, ObservedSurface, canonical_views
 from occfusion.human.rendering import Renderer
-from occfusion.inpaint.accumulation import Accumulated
+from occfusion.inpaint.accumulation import Accumulated, accumulate
 from occfusion.inpaint.completion import ColorCompleter, write_completion
 from occfusion.observation.frames import ObservedFrame
 from occfusion.perceptual import PerceptualMetric
@@ -40,6 +41,8 @@ from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import UncertainMasks
 from occfusion.types import Frame, Rendering, Truth
 
+LOOKED_AT = 200
+"""Frames at most that say what colours Gaussians start with, and how fast they learn."""
 WARM_UP_SAID = 0.05
 """Seconds from which on the user is told of the rasteriser's warming up."""
 
@@ -218,6 +221,18 @@ class AvatarTraining:
             renderer=self.renderer,
             seed=self.settings.seed,
         )
+
+    def accumulate(self, avatar: Avatar, most: int, opacity: float | None = None) -> Accumulated:
+        """Returns what the training frames, evenly chosen at most so many, show of an avatar's Gaussians.
+
+        Args:
+            avatar: set to evaluation.
+            most: frames.
+            opacity: of all Gaussians; None: their own.
+        """
+        positions = spread(len(self.data.train_indices), most)
+        frames = (self.data.train_frame(k, truth=False) for k in positions)
+        return accumulate(avatar.eval(), frames, self.renderer, opacity)
 
     def complete(self, avatar: Avatar, accumulated: Accumulated) -> Accumulated:
         """Returns what the video shows of the Gaussians, with the colours of the rest completed where the plan says so.
