@@ -21,7 +21,7 @@ from occfusion.data import registration
 from occfusion.files.table import read_table, write_table
 from occfusion.observation import evidence, pose_alignment
 from occfusion.observation.frames import misfit_of
-from occfusion.plan import decisions
+from occfusion.plan import decisions, hidden
 from occfusion.run.prepare import observe, observe_training_frames
 from occfusion.settings.schema import Settings, load_settings
 from occfusion.synth import LEVELS
@@ -70,12 +70,12 @@ THRESHOLDS = (
               "the same with poses aligned, which is what the plan goes by", percent),
     Threshold("whole", "evidence.FRAMES_TO_JUDGE", evidence.FRAMES_TO_JUDGE,
               "fewer frames of a whole person, and nothing is said of how poses fit", "{:.0f}".format),
-    Threshold("most_hidden", "decisions.MOSTLY_HIDDEN", decisions.MOSTLY_HIDDEN,
+    Threshold("most_hidden", "hidden.MOSTLY_HIDDEN", hidden.MOSTLY_HIDDEN,
               "distillation is on where occluded frames hide more, in the median", percent),
     Threshold("lit", "decisions.LIT", decisions.LIT, "a lamp that explains less is left out", percent),
     Threshold("lit_condition", "decisions.DETERMINED", decisions.DETERMINED,
               "a lamp of a larger condition is left out", "{:.1f}".format),
-    Threshold("unseen", "decisions.MUCH_UNSEEN", decisions.MUCH_UNSEEN,
+    Threshold("unseen", "hidden.MUCH_UNSEEN", hidden.MUCH_UNSEEN,
               "from more of the body unseen on, a network completes colours", percent),
     Threshold("turn", "decisions.TURNED", decisions.TURNED,
               "degrees of turning from which on the surface is not closed", "{:.0f}".format),

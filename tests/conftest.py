@@ -2,14 +2,18 @@
 
 import gc
 import os
+import sys
 
-import pytest
-import torch
+# tests work on small arrays, which more threads only slow down, where two processes share the cores a hundred times;
+# NumPy's library of linear algebra reads this once, and so do the processes that tests start. Thread counts are tested
+# where they matter
+assert "numpy" not in sys.modules, "a plugin has loaded NumPy: its threads are not to be counted any more"
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# tests work on small tensors, which more threads only slow down, the more so where two processes share the cores;
-# thread counts are tested where they matter
+import pytest  # noqa: E402
+import torch  # noqa: E402
+
 torch.set_num_threads(1)
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes that tests start
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -82,7 +82,7 @@ def test_the_whole_system_leaves_it_out_where_masks_are_complete(
     train(*refine, "plan=full", folder="full")
     assert calls
     calls.clear()
-    monkeypatch.setattr("occfusion.plan.decisions.MOSTLY_HIDDEN", 0.01)
+    monkeypatch.setattr("occfusion.plan.hidden.MOSTLY_HIDDEN", 0.01)
     train(*refine, folder="hidden")
     assert calls
 

@@ -15,7 +15,8 @@ from occfusion.observation.frames import ObservedFrame, PosedBody
 from occfusion.observation.key_light import KeyLight
 from occfusion.observation.pose_alignment import Alignment
 from occfusion.plan import make as planning
-from occfusion.plan.decisions import box_reason, with_everything
+from occfusion.plan.decisions import box_reason
+from occfusion.plan.hidden import with_everything
 from occfusion.settings.schema import Settings, optim_hash
 
 SUMMARY = {"occluded_frames": 0, "frames": 12}
@@ -404,6 +405,36 @@ def test_colours_are_completed_where_much_of_the_body_is_unseen(overrides, unsee
     assert {d.part: d.used for d in plan.decisions}["completed colours"] is completes
     assert (plan.settings.optim.unseen_colors == "prior") is completes
     assert any(line.startswith("completed colours: ") for line in plan.lines()) is completes
+
+
+@pytest.mark.parametrize(
+    ("overrides", "unseen", "source"),
+    [
+        ((), 0.07, "coarse"),  # turns round
+        ((), 0.4, "prior"),
+        (("refine.references.pixels=hidden",), 0.07, "prior"),
+        (("refine.references.source=prior",), 0.07, "prior"),
+        (("refine.references.source=coarse",), 0.4, "coarse"),
+        (("refine.references.source=truth",), 0.4, "truth"),
+        (("plan=full",), 0.07, "prior"),
+        (("recipe=paper",), 0.07, "prior"),
+    ],
+)
+def test_a_prior_paints_references_where_much_of_the_body_is_unseen(overrides, unseen, source):
+    plan = planning.make_plan(
+        settings_of(*overrides), SUMMARY, "torch", frames(*[0.5] * 12), LAMP, coverage=covered(unseen)
+    )
+    assert plan.settings.refine.references.source == source
+    (decision,) = (d for d in plan.decisions if d.part == "references painted by a prior")
+    assert decision.used is (source == "prior")
+
+
+def test_no_prior_paints_where_nothing_is_hidden():
+    plan = planning.make_plan(
+        settings_of(), SUMMARY, "torch", frames(*[0.0] * 12), LAMP, coverage=covered(0.4)
+    )
+    (decision,) = (d for d in plan.decisions if d.part == "references painted by a prior")
+    assert not decision.used and "no frame is inpainted" in decision.reason
 
 
 def test_the_perceptual_term_of_the_refinement_begins_at_half_of_its_steps() -> None:

@@ -90,6 +90,22 @@ def test_kernels_need_no_gradient_of_what_is_not_used(used):
             torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
 
 
+@pytest.mark.parametrize("needed", [(0,), (0, 1, 2), (0, 1, 2, 4), (1, 2, 5), (0, 3), (3, 4, 5)])
+def test_kernels_give_the_gradients_that_are_needed(needed):
+    """Frames whose poses are not mended ask for those of the Gaussians alone."""
+    given = inputs(40, seed=7, dtype=torch.float32)
+    gradients = []
+    for compiled in (True, False):
+        own = [t.clone().requires_grad_(k in needed) for k, t in enumerate(given)]
+        result = carry(*own, compiled=compiled)
+        sum(t.square().sum() for t in result).backward()
+        gradients.append([t.grad for t in own])
+    for k, (a, b) in enumerate(zip(*gradients, strict=True)):
+        assert (a is not None) == (b is not None) == (k in needed)
+        if b is not None:
+            torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5 * float(b.abs().max()))
+
+
 @pytest.mark.stiff
 def test_extreme_quaternions_and_scales():
     _, _, _, rest_maps, offsets, posed_maps = inputs(4, dtype=torch.float32)

@@ -34,7 +34,7 @@ class Carry(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        """Returns the gradients of the inputs; None for maps to rest where they need none."""
+        """Returns the gradients of the inputs; None for maps and displacements that need none."""
         inputs = ctx.saved_tensors
         count = len(inputs[0])
         shapes = ((count, 3), (count, 3, 3), (3, 3, count))
@@ -42,14 +42,19 @@ class Carry(torch.autograd.Function):
             np.zeros(shape, np.float32) if gradient is None else _array(gradient)
             for shape, gradient in zip(shapes, gradients, strict=True)
         ]
-        needs_rest = ctx.needs_input_grad[3]
-        out = [torch.empty_like(tensor, memory_format=torch.contiguous_format) for tensor in inputs]
-        if not needs_rest:
-            out[3] = torch.empty(3, 4, 0)
-        run_parts(_backward, *map(_array, inputs), *given, needs_rest, *(tensor.numpy() for tensor in out))
-        results: list[Tensor | None] = list(out)
-        if not needs_rest:
-            results[3] = None
+        needs_rest, needs_offsets, needs_posed = needs = ctx.needs_input_grad[3:]
+        out = [torch.empty_like(tensor, memory_format=torch.contiguous_format) for tensor in inputs[:3]]
+        for shape, is_needed in zip(((3, 4, count), (count, 3), (3, 4, count)), needs, strict=True):
+            # of a frame whose pose is not mended nothing but the Gaussians' own is asked
+            out.append(torch.empty(shape) if is_needed else torch.empty([0] * len(shape)))
+        run_parts(
+            _backward, *map(_array, inputs), *given, needs_rest, needs_offsets, needs_posed,
+            *(tensor.numpy() for tensor in out),
+        )  # fmt: skip
+        results: list[Tensor | None] = [
+            *out[:3],
+            *(o if n else None for o, n in zip(out[3:], needs, strict=True)),
+        ]
         if gradients[1] is None:
             results[1] = results[2] = None
         return tuple(results)
@@ -179,6 +184,8 @@ def _backward(
     for_covariances: Array,
     for_linear: Array,
     needs_rest: bool,
+    needs_offsets: bool,
+    needs_posed: bool,
     to_means: Array,
     to_quats: Array,
     to_scales: Array,
@@ -236,15 +243,19 @@ def _backward(
             to_quats[n, 2] = (c - y * along) * inverse_length
             to_quats[n, 3] = (d - z * along) * inverse_length
             for i in range(3):
-                to_offsets[n, i] = to_rest[i]
                 to_means[n, i] = rest[0, i] * to_rest[0] + rest[1, i] * to_rest[1] + rest[2, i] * to_rest[2]
-                to_posed_maps[i, 3, n] = for_moved[n, i]
-                for j in range(3):
-                    to_posed_maps[i, j, n] = for_moved[n, i] * at_rest[j] + (
-                        to_linear[i, 0] * rest[j, 0]
-                        + to_linear[i, 1] * rest[j, 1]
-                        + to_linear[i, 2] * rest[j, 2]
-                    )
+            if needs_offsets:
+                for i in range(3):
+                    to_offsets[n, i] = to_rest[i]
+            if needs_posed:
+                for i in range(3):
+                    to_posed_maps[i, 3, n] = for_moved[n, i]
+                    for j in range(3):
+                        to_posed_maps[i, j, n] = for_moved[n, i] * at_rest[j] + (
+                            to_linear[i, 0] * rest[j, 0]
+                            + to_linear[i, 1] * rest[j, 1]
+                            + to_linear[i, 2] * rest[j, 2]
+                        )
             if needs_rest:
                 for i in range(3):
                     to_rest_maps[i, 3, n] = to_rest[i]

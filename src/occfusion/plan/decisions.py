@@ -8,24 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occfusion.data.scene_registration import SceneRegistration
-from occfusion.files.run_folder import STAGES
-from occfusion.human.coverage import BodyCoverage
 from occfusion.human.observability import ObservedSurface
-from occfusion.observation.evidence import FITTING, HIDDEN_SHARE
-from occfusion.observation.frames import ObservedFrame, misfit_of, poses_fit
+from occfusion.observation.evidence import FITTING
+from occfusion.observation.frames import ObservedFrame, misfit_of
 from occfusion.observation.key_light import KeyLight
 from occfusion.observation.pose_alignment import Alignment
-from occfusion.settings.schema import Settings, stages_to_run
-from occfusion.settings.stages import AvatarSettings, HiddenSettings
+from occfusion.settings.schema import Settings
+from occfusion.settings.stages import AvatarSettings
 from occfusion.stages.avatar import BOX_PADDING
-
-HIDDEN_STAGES = ("init",)
-"""Stages that are about what is hidden alone: left out where nothing is. The refinement is not one of them: without
-references it still trains on, with more Gaussians (docs/experiments/004-leaving-out.md has what that gains)."""
-
-MOSTLY_HIDDEN = 0.9
-"""Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on. A few of
-them change nothing (docs/experiments/034-fewer-milliseconds.md)."""
 
 LIT = 0.1
 """Of the differences between sightings of a point of the body: a lamp that explains less is left out."""
@@ -33,10 +23,6 @@ DETERMINED = 50.0
 """Condition up to which the frames tell where a lamp is; embedded scenes have 4 to 8
 (docs/experiments/015-key-light.md)."""
 
-
-MUCH_UNSEEN = 0.2
-"""Share of the body that no frame shows from which its colours are completed. Embedded people who turn round leave 2 to
-9 % unseen, those who do not turn 40 to 55 % (docs/experiments/027-completion.md)."""
 
 TURNED = 33.0
 """Degrees of turning from which the surface is not closed. Embedded people who face the camera within 15 degrees to
@@ -65,53 +51,6 @@ def registration_decision(registered: SceneRegistration | None) -> Decision:
     if registered is None:
         return Decision(part, False, "registration = off; nothing was measured")
     return Decision(part, bool(registered.corrections), registered.text())
-
-
-def stage_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
-    """Returns the decisions on the stages, in order."""
-    decisions = []
-    for stage in STAGES:
-        part, variant = f"stage {stage}", settings.variant.name
-        if stage not in settings.variant.stages:
-            decisions.append(Decision(part, False, f"variant {variant} does not need it"))
-        elif stage not in stages_to_run(settings):
-            decisions.append(Decision(part, False, f"stage={settings.stage.name} asks for another"))
-        elif stage in HIDDEN_STAGES and observed_frames is not None and not _occluded(observed_frames):
-            decisions.append(Decision(part, False, _hidden_reason(observed_frames)))
-        else:
-            decisions.append(Decision(part, True, f"variant {variant} needs it"))
-    return decisions
-
-
-def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
-    """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order.
-
-    Where no frame is occluded, neither has anything to add to what is seen. Nor has either where every occluded frame
-    gets a complete mask, most of them show some of the person, and a refinement follows: both are left out then.
-    Variants without a refinement, which are there to show the terms, keep them.
-    """
-    sds = settings.optim.sds
-    reasons = [f"optim.sds.lambda_{name} = {getattr(sds, f'lambda_{name}'):g}" for name in ("pose", "can")]
-    used = [sds.lambda_pose > 0, sds.lambda_can > 0]
-    if used[0] and sds.where == "hidden" and observed_frames is not None:
-        hidden = sum(bool(observed_frame.evidence.hidden.any()) for observed_frame in observed_frames)
-        reasons[0] += f"; {hidden} of {len(observed_frames)} training frames have hidden pixels to push"
-        used[0] = hidden > 0
-    if observed_frames is not None and not _occluded(observed_frames):
-        reasons = [f"{reason}; {_hidden_reason(observed_frames)}" for reason in reasons]
-        used = [False, False]
-    elif observed_frames is not None and any(used) and _may_leave_out(settings):
-        shares = [f.evidence.hidden_share for f in observed_frames if f.evidence.occluded]
-        median = float(np.median(shares))
-        if median <= MOSTLY_HIDDEN:
-            known = f"all {len(shares)} occluded frames get complete masks, and half of them show at least"
-            reasons = [
-                f"{reason}; {known} {1 - median:.0%} of the body: it changed nothing then"
-                for reason in reasons
-            ]
-            used = [False, False]
-    names = ("loss term sds_pose", "loss term sds_can")
-    return [Decision(*parts) for parts in zip(names, used, reasons, strict=True)]
 
 
 def alignment_decision(settings: Settings, alignment: Alignment | None) -> Decision:
@@ -184,7 +123,7 @@ def is_perceptual_term_deferred(settings: Settings, refined: Decision) -> bool:
     The end of the refinement is the same (docs/experiments/004-leaving-out.md), and the term is half of what the
     optimisation costs. `refined` says whether the refinement has one.
     """
-    return settings.optim.lambda_lpips > 0 and refined.used and _may_leave_out(settings)
+    return settings.optim.lambda_lpips > 0 and refined.used and may_leave_to_refinement(settings)
 
 
 def start_decision(settings: Settings) -> Decision:
@@ -193,7 +132,7 @@ def start_decision(settings: Settings) -> Decision:
     Where a refinement follows, that is left to it: it adds them where they are needed.
     """
     asked, reason = settings.optim.gaussians > 0, f"optim.gaussians = {settings.optim.gaussians}"
-    added = asked and _may_leave_out(settings) and settings.refine.densify
+    added = asked and may_leave_to_refinement(settings) and settings.refine.densify
     reason += "; the refinement adds Gaussians where they are needed" if added else ""
     return Decision("Gaussians between the body's vertices at the start", asked and not added, reason)
 
@@ -210,19 +149,6 @@ def key_light_decision(settings: Settings, found: KeyLight | None) -> Decision:
         return Decision(part, False, f"{reason}; the frames do not tell where it is")
     used = found.explained >= LIT or settings.plan == "full"
     return Decision(part, used, reason if used else f"{reason}; {LIT:.0%} would be worth it")
-
-
-def completion_decision(settings: Settings, coverage: BodyCoverage | None) -> Decision:
-    """Returns whether a network completes the colours of what no frame shows: where that is much of the body."""
-    part, asked = "completed colours", settings.optim.unseen_colors
-    reason = f"optim.unseen_colors = {asked}"
-    if asked == "nearest":
-        return Decision(part, False, reason)
-    if coverage is None:
-        return Decision(part, asked == "prior", f"{reason}; no training frame shows the body")
-    unseen = coverage.shares()["unseen"]
-    reason += f"; {unseen:.0%} of the body is not seen, from {MUCH_UNSEEN:.0%} on it is worth it"
-    return Decision(part, asked == "prior" or unseen >= MUCH_UNSEEN or settings.plan == "full", reason)
 
 
 def surface_decision(settings: Settings, stage: str, surface: ObservedSurface | None) -> Decision:
@@ -245,81 +171,6 @@ def may_leave_out_networks(settings: Settings) -> bool:
     optim = settings.optim
     asked = optim.refine_pose or optim.pose_knots > 0 or optim.learn_skinning
     return asked and settings.plan == "needed"
-
-
-def generated_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
-    """The term on what was inpainted has nothing to look at where nothing was."""
-    weight = settings.refine.references.weight
-    used, reason = weight > 0, f"refine.references.weight = {weight:g}"
-    if observed_frames is not None and not _occluded(observed_frames):
-        used, reason = False, f"{reason}; {_hidden_reason(observed_frames)}"
-    return Decision("loss term gen in refine", used, reason)
-
-
-FITTING_WEIGHT = 0.2
-"""Of complete masks on hidden pixels where poses fit as given: these masks are nearly right there."""
-
-
-def hidden_policies(
-    settings: Settings, observed_frames: Sequence[ObservedFrame] | None, alignment: Alignment | None = None
-) -> tuple[HiddenSettings, HiddenSettings]:
-    """Returns what hidden pixels are held to in the optimisation and in the refinement, target and weight decided.
-
-    What `auto` means: with `plan=full` complete masks in full, as in the paper. Else complete masks count for little
-    where other frames tell better: by `FITTING_WEIGHT` where poses fit as given or were aligned, from which these
-    masks are made, and for nothing where they are mended. The refinement holds what is hidden to the avatar's own
-    outline instead, where no poses are mended much, which move it. The optimisation counts masks as a refinement that
-    follows would, and fully where none does (docs/experiments/033-refinement-after-alignment.md).
-    """
-    optim, refine = settings.optim.hidden, settings.refine.hidden
-    full, fits = HiddenSettings("complete", 1.0), poses_fit(observed_frames) or _is_taken(alignment)
-    doubted = HiddenSettings("complete", FITTING_WEIGHT) if fits else HiddenSettings("none", 0.0)
-    if optim.target == "auto":
-        chosen = refine if refine.target in ("complete", "none") else doubted
-        optim = chosen if _may_leave_out(settings) else full
-    if refine.target == "auto":
-        own = HiddenSettings("outline") if fits else doubted
-        refine = full if settings.plan == "full" else own
-    return tuple(replace(each, weight=each.effective_weight) for each in (optim, refine))  # type: ignore[return-value]
-
-
-def _is_taken(alignment: Alignment | None) -> bool:
-    return alignment is not None and alignment.is_taken
-
-
-def hidden_mask_decision(
-    stage: str,
-    settings: Settings,
-    hidden: HiddenSettings,
-    observed_frames: Sequence[ObservedFrame] | None,
-    alignment: Alignment | None = None,
-) -> Decision:
-    """Returns whether the mask term counts fully on hidden pixels: what is there, other frames may tell better.
-
-    Args:
-        stage: `optim` or `refine`.
-        settings: as the user asked.
-        hidden: of the stage, as `hidden_policies` decided.
-        observed_frames: of the training frames.
-        alignment: what outlines say of the poses; None where they tell too little or were not asked.
-    """
-    weight, asked = hidden.effective_weight, getattr(settings, stage).hidden.target
-    part = "full mask term on hidden pixels" + ("" if stage == "optim" else f" in {stage}")
-    if observed_frames is not None and not _occluded(observed_frames):
-        return Decision(part, False, _hidden_reason(observed_frames))
-    reason = f"{stage}.hidden.target = {asked}; " if asked != "auto" else ""
-    fits = poses_fit(observed_frames)
-    if hidden.target == "outline":
-        found = "poses are aligned: " if _is_taken(alignment) else "poses fit as given: "
-        why = found if asked == "auto" else ""
-        reason += f"{why}the avatar's own outline takes the place of complete masks, weight {weight:g}"
-        return Decision(part, False, reason)
-    reason += f"it counts {weight:g} there"
-    if stage == "optim" and weight < 1.0:
-        reason += ": other frames tell better"
-    if "refine" in settings.variant.stages and fits:
-        reason += "; poses fit as given, so complete masks do"
-    return Decision(part, weight == 1.0, reason)
 
 
 def densification_decision(stage: str, settings: AvatarSettings, steps: int) -> Decision:
@@ -356,45 +207,6 @@ def box_reason(observed_frames: Sequence[ObservedFrame] | None) -> str:
     )
 
 
-def mask_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
-    """Returns whether any mask is completed."""
-    if observed_frames is None or "init" not in settings.variant.stages:
-        return Decision("complete masks", False, f"variant {settings.variant.name} trains on visible masks")
-    return Decision("complete masks", _occluded(observed_frames) > 0, _hidden_reason(observed_frames))
-
-
-def inpainting_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
-    """Returns whether any frame is inpainted."""
-    if observed_frames is None or "refine" not in settings.variant.stages:
-        return Decision("inpainting", False, f"variant {settings.variant.name} does not need it")
-    reason = f"{_hidden_reason(observed_frames)}; the others are not inpainted"
-    return Decision("inpainting", _occluded(observed_frames) > 0, reason)
-
-
-def with_everything(observed_frames: Sequence[ObservedFrame]) -> list[ObservedFrame]:
-    """Returns the observed_frames with each frame counted as occluded, for `plan=full`."""
-    return [
-        replace(observed_frame, evidence=replace(observed_frame.evidence, occluded=True))
-        for observed_frame in observed_frames
-    ]
-
-
-def _may_leave_out(settings: Settings) -> bool:
+def may_leave_to_refinement(settings: Settings) -> bool:
     """Returns whether parts may go that a refinement makes up for: where one follows, unless all is asked."""
     return "refine" in settings.variant.stages and settings.plan == "needed"
-
-
-def _occluded(observed_frames: Sequence[ObservedFrame]) -> int:
-    return sum(observed_frame.evidence.occluded for observed_frame in observed_frames)
-
-
-def _hidden_reason(observed_frames: Sequence[ObservedFrame]) -> str:
-    hiding = sum(observed_frame.evidence.hidden_share > HIDDEN_SHARE for observed_frame in observed_frames)
-    reason = (
-        f"{hiding} of {len(observed_frames)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
-    )
-    return (
-        reason
-        if _occluded(observed_frames) <= hiding
-        else f"{reason}; plan=full takes all of them for occluded"
-    )

@@ -146,7 +146,7 @@ def _of_networks(
 def _of_prior(settings: Settings, plan: Plan) -> Iterator[tuple[str, str]]:
     optim = plan.settings.optim
     masks = "init" in plan.stages and settings.init.source == "prior"
-    paints = plan.inpaints and settings.refine.references.source == "prior"
+    paints = plan.inpaints and plan.settings.refine.references.source == "prior"
     completes = optim.unseen_colors == "prior"
     if not plan.inpaints:
         yield "refine.references", "no frame is inpainted"

@@ -22,22 +22,25 @@ from occfusion.plan.decisions import (
     Decision,
     alignment_decision,
     box_reason,
-    completion_decision,
     densification_decision,
+    is_perceptual_term_deferred,
+    key_light_decision,
+    network_decisions,
+    perceptual_decision,
+    registration_decision,
+    start_decision,
+    surface_decision,
+)
+from occfusion.plan.hidden import (
+    completion_decision,
     generated_decision,
     hidden_mask_decision,
     hidden_policies,
     inpainting_decision,
-    is_perceptual_term_deferred,
-    key_light_decision,
     mask_decision,
-    network_decisions,
-    perceptual_decision,
-    registration_decision,
+    reference_decision,
     sds_decisions,
     stage_decisions,
-    start_decision,
-    surface_decision,
 )
 from occfusion.settings.schema import Settings, stages_to_run
 from occfusion.settings.stages import AvatarSettings, HiddenSettings, SurfaceSettings
@@ -127,6 +130,7 @@ def make_plan(
     )  # fmt: skip
     is_refined = "refine" in running
     inpainting = inpainting_decision(settings, observed_frames)
+    inpainter = reference_decision(settings, inpainting, coverage)
     hidden = hidden_policies(settings, observed_frames, alignment)
     perceptual = perceptual_decision("optim", optim, steps_of(settings, optim))
     refined_perceptual = perceptual_decision("refine", refine, steps_of(settings, refine))
@@ -143,10 +147,16 @@ def make_plan(
     refined_rounds = densification_decision("refine", refine, steps_of(settings, refine))
     effective = _effective(
         settings, hidden, perceptual, refined_perceptual, distillation, networks, lamp, start, completed, closed,
-        refined_closed, rounds, refined_rounds,
+        refined_closed, rounds, refined_rounds, inpainter,
     )  # fmt: skip
 
-    plan = [registration_decision(registered), *stages, mask_decision(settings, observed_frames), inpainting]
+    plan = [
+        registration_decision(registered),
+        *stages,
+        mask_decision(settings, observed_frames),
+        inpainting,
+        inpainter,
+    ]
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
     plan += _weight_decisions("optim", optim, ("rgb", "mask", "ssim"))
@@ -189,6 +199,7 @@ def _effective(
     refined_closed: Decision,
     rounds: Decision,
     refined_rounds: Decision,
+    inpainter: Decision,
 ) -> Settings:
     """Returns the settings without what the decisions leave out."""
     asked = settings.optim
@@ -213,8 +224,12 @@ def _effective(
         lambda_lpips=asked.lambda_lpips if perceptual.used else 0.0,
         surface=asked.surface if closed.used else NO_SURFACE,
     )
+    source = settings.refine.references.source
+    if source == "auto":
+        source = "prior" if inpainter.used else "coarse"
     refine = replace(
         settings.refine,
+        references=replace(settings.refine.references, source=source),
         hidden=hidden[1],
         lambda_lpips=settings.refine.lambda_lpips if refined_perceptual.used else 0.0,
         densify=refined_rounds.used,

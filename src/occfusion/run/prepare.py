@@ -27,7 +27,8 @@ from occfusion.observation.key_light import KeyLight, find_key_light
 from occfusion.observation.pose_alignment import Alignment, align_poses, aligned_pose
 from occfusion.observation.pose_witness import Look
 from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
-from occfusion.plan.decisions import is_alignment_asked, may_leave_out_networks, with_everything
+from occfusion.plan.decisions import is_alignment_asked, may_leave_out_networks
+from occfusion.plan.hidden import with_everything
 from occfusion.plan.make import Plan, make_plan, reached_sh_degree
 from occfusion.priors.build_prior import check_score_prior
 from occfusion.priors.calibration import measure_thickness
@@ -45,8 +46,6 @@ from occfusion.types import Frame
 
 COVERAGE_VIEWS = 300
 """Training views that the body is held against, evenly spread; at 256 px a view takes about 20 ms."""
-THICKNESS_VIEWS = 60
-"""Training views in which outlines of clothes are held against the body's, evenly spread."""
 
 
 @dataclass(frozen=True)
@@ -229,10 +228,7 @@ def _observe_surface(
 ) -> ObservedSurface:
     vertices, faces = body.da_vertices().cpu().numpy(), body.faces.cpu().numpy()
     known = observe_surface(coverage.coverage, vertices, faces)
-    chosen = spread(len(observed_frames), THICKNESS_VIEWS)
-    thickness = measure_thickness(
-        [observed_frames[k] for k in chosen], lambda k: data.train_frame(chosen[k], truth=False), body
-    )
+    thickness = measure_thickness(observed_frames, lambda k: data.train_frame(k, truth=False), body)
     focal = float(data.train_frame(0, truth=False).camera.K[0, 0])
     depth = float(np.median([np.median(frame.projected.depths) for frame in observed_frames]))
     ignorance, turn = (

@@ -164,10 +164,10 @@ class ReferenceSettings:
     """The inpainted pictures of the refinement: where they come from, where they count, and how much."""
 
     source: str = setting(
-        "prior",
-        "`prior`; `coarse`: the coarse rendering itself, to see what inpainting adds; `truth`: the data set's own "
-        "complete pictures, an upper bound for synthetic scenes",
-        choices=("prior", "coarse", "truth"),
+        "auto",
+        "`prior`: an inpainter; `coarse`: the coarse rendering itself; `auto`: the plan decides between the two; "
+        "`truth`: the data set's own complete pictures, an upper bound for synthetic scenes",
+        choices=("auto", "prior", "coarse", "truth"),
     )
     weight: float = setting(0.1, "of the L1 towards them; 0: left out", 0)
     pixels: str = setting(
