@@ -10,13 +10,25 @@ WORKERS ?= 2
 .PHONY: install demo test lint lock
 install: $(VENV)/.installed
 
+# Python compiles what is imported when it is first imported; of all that is installed that is a small part.
+define in_venv
+test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
+$(VENV)/bin/python -c "import torch" 2>/dev/null || $(PIP) "$(TORCH)"
+$(PIP) -e ".[$(1)]"
+endef
+PIP = $(VENV)/bin/python -m pip install --progress-bar off --no-compile
+
 $(VENV)/.installed: pyproject.toml
-	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -c "import torch" 2>/dev/null || $(VENV)/bin/python -m pip install --progress-bar off "$(TORCH)"
-	$(VENV)/bin/python -m pip install --progress-bar off -e ".[dev]"
+	$(call in_venv,dev)
+	touch $@ $(VENV)/.installed-for-use
+
+# without what tests need, which takes longer than all else
+USE = video,view
+$(VENV)/.installed-for-use: pyproject.toml
+	$(call in_venv,$(USE))
 	touch $@
 
-demo: install
+demo: $(VENV)/.installed-for-use
 	$(VENV)/bin/python train.py
 
 test: install

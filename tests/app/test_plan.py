@@ -408,31 +408,26 @@ def test_colours_are_completed_where_much_of_the_body_is_unseen(overrides, unsee
 
 
 @pytest.mark.parametrize(
-    ("overrides", "unseen", "source"),
+    ("overrides", "source"),
     [
-        ((), 0.07, "coarse"),  # turns round
-        ((), 0.4, "prior"),
-        (("refine.references.pixels=hidden",), 0.07, "prior"),
-        (("refine.references.source=prior",), 0.07, "prior"),
-        (("refine.references.source=coarse",), 0.4, "coarse"),
-        (("refine.references.source=truth",), 0.4, "truth"),
-        (("plan=full",), 0.07, "prior"),
-        (("recipe=paper",), 0.07, "prior"),
+        ((), "coarse"),
+        (("refine.references.pixels=hidden",), "prior"),
+        (("refine.references.source=prior",), "prior"),
+        (("refine.references.source=truth",), "truth"),
+        (("plan=full",), "prior"),
+        (("plan=full", "refine.references.source=coarse"), "coarse"),
+        (("recipe=paper",), "prior"),
     ],
 )
-def test_a_prior_paints_references_where_much_of_the_body_is_unseen(overrides, unseen, source):
-    plan = planning.make_plan(
-        settings_of(*overrides), SUMMARY, "torch", frames(*[0.5] * 12), LAMP, coverage=covered(unseen)
-    )
+def test_a_prior_paints_references_where_they_count_in_all_that_is_hidden(overrides, source):
+    plan = made(settings_of(*overrides), frames(*[0.5] * 12))
     assert plan.settings.refine.references.source == source
     (decision,) = (d for d in plan.decisions if d.part == "references painted by a prior")
     assert decision.used is (source == "prior")
 
 
 def test_no_prior_paints_where_nothing_is_hidden():
-    plan = planning.make_plan(
-        settings_of(), SUMMARY, "torch", frames(*[0.0] * 12), LAMP, coverage=covered(0.4)
-    )
+    plan = made(settings_of("refine.references.pixels=hidden"), frames(*[0.0] * 12))
     (decision,) = (d for d in plan.decisions if d.part == "references painted by a prior")
     assert not decision.used and "no frame is inpainted" in decision.reason
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import traceback
@@ -20,6 +21,7 @@ from occfusion.cli.interrupts import keep_interrupts
 from occfusion.cli.launchers import is_parallel, missing_launcher
 from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, record_job, record_start
 from occfusion.cli.optimized import answer, check_optimized_metric, is_asked
+from occfusion.cpu.loading import loading
 from occfusion.cpu.processes import is_helper
 from occfusion.errors import ConfigError, OccfusionError
 from occfusion.settings.names import refuse_old_names
@@ -204,8 +206,10 @@ def _finished_before(config: DictConfig, chosen: bool) -> Path | None:
 
 
 def _run(config: DictConfig, chosen: bool, overrides: list[str]) -> Path | None:
-    # heavy imports only after composing has gone well and where there is something to do
-    from occfusion.run import app
+    # heavy imports only after composing has gone well and where there is something to do; what earlier jobs of this
+    # process have left is to be searched for garbage
+    with contextlib.nullcontext() if "occfusion.run.app" in sys.modules else loading():
+        from occfusion.run import app
 
     folder, metrics = app.run_in_folder(config, folder_chosen_by_user=chosen, given=overrides)
     return folder if "regions" in metrics else None

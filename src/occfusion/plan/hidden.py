@@ -23,8 +23,8 @@ MOSTLY_HIDDEN = 0.9
 """Of the body: a frame that hides more is completed from the pose nearly alone, and its mask is not relied on. A few of
 them change nothing (docs/experiments/034-fewer-milliseconds.md)."""
 MUCH_UNSEEN = 0.2
-"""Share of the body that no frame shows from which its colours are completed, and references painted. Embedded people
-who turn round leave 2 to 9 % unseen, those who do not turn 40 to 55 % (docs/experiments/027-completion.md)."""
+"""Share of the body that no frame shows from which its colours are completed. Embedded people who turn round leave 2 to
+9 % unseen, those who do not turn 40 to 55 % (docs/experiments/027-completion.md)."""
 FITTING_WEIGHT = 0.2
 """Of complete masks on hidden pixels where poses fit as given: these masks are nearly right there."""
 
@@ -60,12 +60,11 @@ def inpainting_decision(settings: Settings, observed_frames: Sequence[ObservedFr
     return Decision("inpainting", _occluded(observed_frames) > 0, reason)
 
 
-def reference_decision(settings: Settings, inpainting: Decision, coverage: BodyCoverage | None) -> Decision:
-    """Returns whether a prior paints the references: where they count, and that is much.
+def reference_decision(settings: Settings, inpainting: Decision) -> Decision:
+    """Returns whether a prior paints the references: where they count in all that a frame hides.
 
-    Where a person turns, frames show nearly all of what others hide. What is left of it takes the colours of what is
-    seen nearby, as the avatar's own rendering shows them, and the end is the same
-    (docs/experiments/043-who-is-asked.md).
+    Of what no frame shows, the avatar's own rendering does as well: its colours there were taken from what is seen
+    nearby, or completed on the body, once and for all views (docs/experiments/043-painted-once.md).
     """
     part, references = "references painted by a prior", settings.refine.references
     reason = f"refine.references.source = {references.source}"
@@ -75,15 +74,12 @@ def reference_decision(settings: Settings, inpainting: Decision, coverage: BodyC
         return Decision(part, False, f"{reason}; no frame is inpainted")
     if settings.plan == "full":
         return Decision(part, True, f"{reason}; plan = full")
-    if references.pixels == "hidden":
+    reason += f"; refine.references.pixels = {references.pixels}"
+    if references.pixels == "unseen":
         return Decision(
-            part, True, f"{reason}; they count in all that is hidden, refine.references.pixels = hidden"
+            part, False, f"{reason}: what no frame shows is painted on the avatar, which is drawn instead"
         )
-    if coverage is None:
-        return Decision(part, True, f"{reason}; no training frame shows the body")
-    unseen = coverage.shares()["unseen"]
-    reason += f"; {unseen:.0%} of the body is seen in no frame, from {MUCH_UNSEEN:.0%} on it is worth it"
-    return Decision(part, unseen >= MUCH_UNSEEN, reason)
+    return Decision(part, True, reason)
 
 
 def generated_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:

@@ -130,7 +130,7 @@ def make_plan(
     )  # fmt: skip
     is_refined = "refine" in running
     inpainting = inpainting_decision(settings, observed_frames)
-    inpainter = reference_decision(settings, inpainting, coverage)
+    inpainter = reference_decision(settings, inpainting)
     hidden = hidden_policies(settings, observed_frames, alignment)
     perceptual = perceptual_decision("optim", optim, steps_of(settings, optim))
     refined_perceptual = perceptual_decision("refine", refine, steps_of(settings, refine))

@@ -92,10 +92,12 @@ class InpaintStage(FramewiseStage):
         )
         asked = sum(r["inpainted"] for r in self.records.values())
         others = "; other frames show the rest" if region < painted else ""
-        return (
-            f"{asked} of {len(self.observed_frames)} frames inpainted, {len(self.records) - asked} left as the avatar "
-            f"shows them; references count on {region} of {painted} hidden pixels{others}"
-        )
+        frames = f"of {len(self.observed_frames)} frames"
+        if isinstance(self._inpainter[0], CoarsePictures):
+            told = f"{len(self.records)} {frames} as the avatar shows them"
+        else:
+            told = f"{asked} {frames} inpainted, {len(self.records) - asked} left as the avatar shows them"
+        return f"{told}; references count on {region} of {painted} hidden pixels{others}"
 
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
