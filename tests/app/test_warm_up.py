@@ -6,12 +6,15 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 
+from occfusion.human.kernels import compile_kernels, compile_meanwhile
 from occfusion.human.rendering import Renderer
+from occfusion.splat.backends.numba import ahead
 from occfusion.stages import clock
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
@@ -66,6 +69,39 @@ def test_training_compiles_nothing(scene_root: Path, tmp_path: Path, variant: st
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "optim: rasteriser numba ready after " in done.stdout
+
+
+def test_a_second_process_compiles_while_the_data_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once, where nothing is cached; it starts none itself, and whoever trains waits for it."""
+
+    class Started:
+        def __init__(self, command: list[str], env: dict[str, str], **_: Any) -> None:
+            self.program, self.environment, self.waited = command[2], env, 0
+            started.append(self)
+
+        def wait(self) -> None:
+            self.waited += 1
+
+    started: list[Started] = []
+    cold = SimpleNamespace(signatures=[])
+    monkeypatch.setattr(ahead, "project_backward_part", cold)
+    monkeypatch.setattr(ahead, "is_cached", lambda kernel: kernel is not cold)
+    monkeypatch.setattr(ahead, "usable_cores", lambda: 2)
+    monkeypatch.setattr(ahead.subprocess, "Popen", Started)
+    compile_meanwhile(Renderer("torch"))
+    assert not started
+    renderer = Renderer("numba")
+    compile_meanwhile(renderer)
+    compile_meanwhile(renderer)
+    (helper,) = started
+    assert "compile_kernels" in helper.program and not helper.waited
+    compile_kernels(renderer)
+    assert helper.waited == 1
+    count = len(started)  # this pretends that it has left nothing
+    with monkeypatch.context() as within:
+        within.setattr(os, "environ", helper.environment)
+        compile_meanwhile(renderer)
+    assert len(started) == count
 
 
 def test_the_clock_stands_still_until_the_kernels_are_ready(

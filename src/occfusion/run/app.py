@@ -14,6 +14,7 @@ from occfusion.cpu.processes import is_helper
 from occfusion.files.checkpoint import newest_whole
 from occfusion.files.run_folder import STAGES, RunFolder
 from occfusion.human import write_gaussians_ply
+from occfusion.human.kernels import compile_meanwhile
 from occfusion.plan.idle import idle_settings
 from occfusion.report.page import write_report
 from occfusion.report.tables import print_summary
@@ -21,7 +22,7 @@ from occfusion.run.evaluation import PICTURE_FRAMES, evaluate_run
 from occfusion.run.folder import at_work, finished_in, identify, record_finished
 from occfusion.run.keepsakes import write_before_after, write_turntable
 from occfusion.run.machine import check_machine
-from occfusion.run.prepare import Run, build, claim, decide, observe
+from occfusion.run.prepare import Run, build, claim, decide, make_renderer, observe
 from occfusion.run.prior import run_prior_training
 from occfusion.settings.schema import PRIOR_STAGE, load_settings, stages_to_run
 from occfusion.stages.loggers import check_logger
@@ -59,6 +60,8 @@ def run_in_folder(
         card = run_prior_training(settings, folder_chosen_by_user=folder_chosen_by_user)
         return Path(settings.output_dir), card
     check_checkpoints(RunFolder(Path(settings.output_dir)))
+    if stages_to_run(settings) != ["init"] and not is_helper():
+        compile_meanwhile(make_renderer(settings))
     observed = observe(settings)
     plan = decide(settings, observed)
     idle = idle_settings(given, settings, plan)

@@ -173,9 +173,6 @@ def observe(settings: Settings) -> Observed:
     surface = None
     if is_closed and coverage is not None and observed_frames is not None:
         surface = _observe_surface(data, body, coverage, observed_frames)
-    on_gpu = settings.trainer.accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
-    device = torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
-    renderer = Renderer(settings.rasterizer.name, device)
     return Observed(
         body,
         data,
@@ -185,9 +182,16 @@ def observe(settings: Settings) -> Observed:
         key_light,
         coverage,
         surface,
-        renderer,
+        make_renderer(settings),
         alignment,
     )
+
+
+def make_renderer(settings: Settings) -> Renderer:
+    """Returns what draws in a run, on the device that it trains on."""
+    on_gpu = settings.trainer.accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
+    device = torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
+    return Renderer(settings.rasterizer.name, device)
 
 
 def _register_and_align(

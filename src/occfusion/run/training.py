@@ -21,6 +21,7 @@ from occfusion.files.run_folder import RunFolder, StageFolder
 from occfusion.geometry.normals import vertex_normals
 from occfusion.human import Avatar, save_avatar, write_gaussians_ply
 from occfusion.human.densify import Densifier
+from occfusion.human.kernels import compile_kernels
 from occfusion.human.observability import CanonicalView, ObservedSurface, canonical_views
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import Accumulated, accumulate
@@ -183,15 +184,7 @@ class AvatarTraining:
     def warm_up(self, name: str) -> None:
         """Compiles what the first step would wait for, so that a machine's first run trains no longer than others."""
         started = time.perf_counter()
-        self.renderer.warm_up()
-        if self.renderer.backend == "numba":
-            # numba is loaded where it is used
-            from occfusion.geometry import rotation_kernels, skinning_kernels
-            from occfusion.human import carry_kernels, color_kernels
-            from occfusion.quality import fused
-
-            for module in (fused, carry_kernels, color_kernels, rotation_kernels, skinning_kernels):
-                module.warm_up()
+        compile_kernels(self.renderer)
         seconds = time.perf_counter() - started
         if seconds >= WARM_UP_SAID:
             ready = f"rasteriser {self.renderer.backend} ready after {seconds:.1f} s"

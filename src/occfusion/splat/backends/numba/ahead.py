@@ -1,8 +1,9 @@
-"""Where nothing is cached yet, a second process compiles the last kernel of all while this one compiles the others.
+"""Where nothing is cached yet, a second process compiles kernels.
 
-The last one takes a third of the time, as much as the second process needs for itself besides. Compiling holds the
-interpreter's lock, so threads would not help. The second process leaves its work in the cache on disk, from which
-this one loads it. Whatever goes wrong there costs time alone: what is not in the cache is compiled here.
+All of them while this one does something else, or the last one while this one compiles the others. The last one takes
+a third of the time, as much as the second process needs for itself besides. Compiling holds the interpreter's lock, so
+threads would not help. The second process leaves its work in the cache on disk, from which this one loads it. Whatever
+goes wrong there costs time alone: what is not in the cache is compiled here.
 """
 
 from __future__ import annotations
@@ -24,21 +25,28 @@ gc.disable()  # a tenth of the time, in a process that keeps what it makes
 compile_last()
 """
 
+IS_HELPER = "OCCFUSION_COMPILES_AHEAD"
+"""Set in the environment of the second process, which starts no third one."""
+
 _helpers: list[subprocess.Popen[bytes]] = []
 """The process that compiles, while it runs."""
 
 
-def start() -> None:
-    """Starts the second process where it would help: once, with a second core, with nothing in the cache."""
+def start(program: str | None = None) -> None:
+    """Starts the second process where it would help: once, with a second core, with nothing in the cache.
+
+    Args:
+        program: what it runs; None: what compiles the last kernel.
+    """
     kernel: Any = project_backward_part
-    if _helpers or kernel.signatures or is_cached(kernel):
+    if _helpers or IS_HELPER in os.environ or kernel.signatures or is_cached(kernel):
         return
     if not sys.executable or usable_cores() < 2:
         return
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), IS_HELPER: "1"}
     _helpers.append(
         subprocess.Popen(
-            [sys.executable, "-c", PROGRAM], env=environment,
+            [sys.executable, "-c", program or PROGRAM], env=environment,
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )
     )  # fmt: skip
