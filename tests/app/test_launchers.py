@@ -37,7 +37,7 @@ def test_jobs_at_once_end_in_one_table(tmp_path: Path, scene_root: Path, launche
     if missing_launcher(launcher) is not None:
         pytest.skip(f"{launcher[0]}: not installed")
     done = subprocess.run(
-        command(scene_root, "variant=B,E", "seed=0,1", "init.source=truth", NO_WEIGHTS, *launcher), cwd=tmp_path,
+        command(scene_root, "variant=B,E", "seed=0,1", "init.source=truth", *NO_WEIGHTS, *launcher), cwd=tmp_path,
         env=ENVIRONMENT, capture_output=True, text=True, timeout=280, check=False,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr

@@ -19,7 +19,7 @@ COMMAND = [
     "trainer.enable_progress_bar=false", "optim.align_poses=false", "optim.unseen_colors=nearest",
     "hydra.sweep.dir=sweep",
 ]  # fmt: skip
-NO_WEIGHTS = "prior.inpaint.weights=nowhere.safetensors"
+NO_WEIGHTS = ("refine.references.source=prior", "prior.inpaint.weights=nowhere.safetensors")
 """Makes the jobs of variant E fail, and no others."""
 
 
@@ -34,7 +34,7 @@ def test_table_failures_and_no_second_run(tmp_path: Path, scene_root: Path) -> N
     scene = [
         f"dataset.root={scene_root}", "dataset.scene=001-clean", f"body.path={scene_root}/001-clean/body.npz"
     ]  # fmt: skip
-    done = train(tmp_path, "variant=A,E", "seed=0,1", NO_WEIGHTS, *scene)
+    done = train(tmp_path, "variant=A,E", "seed=0,1", *NO_WEIGHTS, *scene)
     assert done.returncode == 1, done.stderr
     assert sum(line.startswith("failed: ") and "variant=E" in line for line in done.stdout.splitlines()) == 2
     text = (tmp_path / "sweep" / "table.md").read_text()

@@ -411,6 +411,7 @@ def test_colours_are_completed_where_much_of_the_body_is_unseen(overrides, unsee
     ("overrides", "source"),
     [
         ((), "coarse"),
+        (("prior=sd15",), "prior"),
         (("refine.references.pixels=hidden",), "prior"),
         (("refine.references.source=prior",), "prior"),
         (("refine.references.source=truth",), "truth"),

@@ -61,10 +61,11 @@ def inpainting_decision(settings: Settings, observed_frames: Sequence[ObservedFr
 
 
 def reference_decision(settings: Settings, inpainting: Decision) -> Decision:
-    """Returns whether a prior paints the references: where they count in all that a frame hides.
+    """Returns whether a prior paints the references: one of the user's, or where they count in all that a frame hides.
 
-    Of what no frame shows, the avatar's own rendering does as well: its colours there were taken from what is seen
-    nearby, or completed on the body, once and for all views (docs/experiments/043-painted-once.md).
+    Of what no frame shows, the avatar's own rendering does as well as our own network: its colours there were taken
+    from what is seen nearby, or completed on the body, once and for all views (docs/experiments/043-painted-once.md).
+    Of other priors that is not known.
     """
     part, references = "references painted by a prior", settings.refine.references
     reason = f"refine.references.source = {references.source}"
@@ -74,8 +75,8 @@ def reference_decision(settings: Settings, inpainting: Decision) -> Decision:
         return Decision(part, False, f"{reason}; no frame is inpainted")
     if settings.plan == "full":
         return Decision(part, True, f"{reason}; plan = full")
-    reason += f"; refine.references.pixels = {references.pixels}"
-    if references.pixels == "unseen":
+    reason += f"; prior = {settings.prior.name}, refine.references.pixels = {references.pixels}"
+    if references.pixels == "unseen" and settings.prior.name == "embedded":
         return Decision(
             part, False, f"{reason}: what no frame shows is painted on the avatar, which is drawn instead"
         )

@@ -165,8 +165,9 @@ class ReferenceSettings:
 
     source: str = setting(
         "auto",
-        "`prior`: an inpainter; `coarse`: the coarse rendering itself; `auto`: a prior where they count in all of R, "
-        "else the rendering; `truth`: the data set's own complete pictures, an upper bound for synthetic scenes",
+        "`prior`: an inpainter; `coarse`: the coarse rendering itself; `auto`: the rendering for `prior=embedded` "
+        "and `pixels=unseen`, else the prior; `truth`: the data set's own complete pictures, an upper bound for "
+        "synthetic scenes",
         choices=("auto", "prior", "coarse", "truth"),
     )
     weight: float = setting(0.1, "of the L1 towards them; 0: left out", 0)
