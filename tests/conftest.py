@@ -3,6 +3,7 @@
 import gc
 import os
 import sys
+from collections.abc import Iterator
 
 # tests work on small arrays, which more threads only slow down, where two processes share the cores a hundred times;
 # NumPy's library of linear algebra reads this once, and so do the processes that tests start. Thread counts are tested
@@ -26,3 +27,10 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 def unsynchronised_disk() -> None:
     """Waits for no disk, a tenth of a tiny run's time: nobody cuts the power while a test runs."""
     os.fsync = lambda descriptor: None
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Gives each test one thread, whatever the one before has left: products of matrices round by their number."""
+    torch.set_num_threads(1)
+    yield
