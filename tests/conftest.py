@@ -3,7 +3,6 @@
 import gc
 import os
 import sys
-from collections.abc import Iterator
 
 # tests work on small arrays, which more threads only slow down, where two processes share the cores a hundred times;
 # NumPy's library of linear algebra reads this once, and so do the processes that tests start. Thread counts are tested
@@ -30,7 +29,6 @@ def unsynchronised_disk() -> None:
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
+def one_thread() -> None:
     """Gives each test one thread, whatever the one before has left: products of matrices round by their number."""
     torch.set_num_threads(1)
-    yield
