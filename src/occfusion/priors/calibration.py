@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 FRAMES = 16
 """On which the calibration is fitted."""
 THICKNESS_VIEWS = 60
-"""Frames at most that say how far clothes stand off: more tell nothing new and cost as much each."""
+"""Frames at most that say how far clothes stand off, evenly spread; at 256 px one takes about 20 ms."""
 SHIFT = 0.25
 """Of the person's size: how far a borrowed occluder may stand from where it was."""
 NEAR = 0.12

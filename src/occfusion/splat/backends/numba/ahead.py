@@ -25,7 +25,7 @@ gc.disable()  # a tenth of the time, in a process that keeps what it makes
 compile_last()
 """
 
-IS_HELPER = "OCCFUSION_COMPILES_AHEAD"
+COMPILES_AHEAD = "OCCFUSION_COMPILES_AHEAD"
 """Set in the environment of the second process, which starts no third one."""
 
 _helpers: list[subprocess.Popen[bytes]] = []
@@ -39,11 +39,11 @@ def start(program: str | None = None) -> None:
         program: what it runs; None: what compiles the last kernel.
     """
     kernel: Any = project_backward_part
-    if _helpers or IS_HELPER in os.environ or kernel.signatures or is_cached(kernel):
+    if _helpers or COMPILES_AHEAD in os.environ or kernel.signatures or is_cached(kernel):
         return
     if not sys.executable or usable_cores() < 2:
         return
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), IS_HELPER: "1"}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), COMPILES_AHEAD: "1"}
     _helpers.append(
         subprocess.Popen(
             [sys.executable, "-c", program or PROGRAM], env=environment,
