@@ -21,6 +21,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import linear_regression
 
 BEGAN = time.perf_counter(), time.process_time()
 ROOT = Path(__file__).parents[1]
@@ -102,11 +103,6 @@ def measure(work: Path, point: Point) -> dict[str, float]:
     }
 
 
-def asked_of(axis: str, amount: int) -> dict[str, int]:
-    """Returns what a point is of."""
-    return {**USUAL, axis: amount}
-
-
 def measure_missing(work: Path) -> None:
     """Measures what the CSV lacks, a process each, and adds its rows."""
     from occfusion.files.table import read_table, write_table
@@ -119,13 +115,11 @@ def measure_missing(work: Path) -> None:
     one_thread = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     for axis, amounts in AXES.items():
         for amount in amounts:
-            point = Point(**asked_of(axis, amount))
-            known = [row for row in rows if row["axis"] == axis and int(str(row["asked"])) == amount]
-            if known:
+            wanted = {**USUAL, axis: amount}
+            point = Point(**wanted)
+            if any(row["axis"] == axis and int(str(row["asked"])) == amount for row in rows):
                 continue
-            same = [
-                row for row in rows if all(int(str(row[k])) == v for k, v in asked_of(axis, amount).items())
-            ]
+            same = [row for row in rows if all(int(str(row[k])) == v for k, v in wanted.items())]
             if same:  # the usual run is a point of several axes
                 rows.append({**same[0], "axis": axis, "asked": amount})
                 write_table(table, COLUMNS, rows)
@@ -147,9 +141,7 @@ def measure_missing(work: Path) -> None:
 
 def exponent(amounts: Sequence[float], costs: Sequence[float]) -> float:
     """Returns the slope of the line through logarithms, least squares: cost grows as amount to this power."""
-    xs, ys = [math.log(a) for a in amounts], [math.log(c) for c in costs]
-    x, y = sum(xs) / len(xs), sum(ys) / len(ys)
-    return sum((a - x) * (b - y) for a, b in zip(xs, ys, strict=True)) / sum((a - x) ** 2 for a in xs)
+    return linear_regression([math.log(a) for a in amounts], [math.log(c) for c in costs]).slope
 
 
 def page(rows: Sequence[Mapping[str, str]]) -> str:

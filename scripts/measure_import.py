@@ -18,6 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
 from occfusion.files.atomic import write_json
 from occfusion.fitting.anchors import landmark_places
@@ -35,9 +36,7 @@ SIZE = (1280, 720)
 def aligned(ours: np.ndarray, truth: np.ndarray) -> float:
     """Returns the mean distance of joints after the best rotation and translation, millimetres."""
     a, b = ours - ours.mean(axis=0), truth - truth.mean(axis=0)
-    u, _, v = np.linalg.svd(a.T @ b)
-    turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ v))]) @ v
-    return float(np.linalg.norm(a @ turn - b, axis=1).mean() * 1000)
+    return float(np.linalg.norm(Rotation.align_vectors(b, a)[0].apply(a) - b, axis=1).mean() * 1000)
 
 
 def write_points(truth: dict[str, np.ndarray], size: tuple[int, int], place: Path) -> Path:

@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 import render_plain_clip as plain
 import torch
+from scipy.spatial.transform import Rotation
 
 from occfusion.human import embedded_body
 from occfusion.human.rendering import Renderer
@@ -37,10 +38,9 @@ AROUND, EVERY, MARGIN = (60, 120, 180, 240, 300), 5, 0.1
 
 def rigid(ours: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Returns the rotation and shift `[4, 4]` that lays points `[N, 3]` on others best."""
-    a, b = ours - ours.mean(axis=0), truth - truth.mean(axis=0)
-    u, _, v = np.linalg.svd(a.T @ b)
     out = np.eye(4)
-    out[:3, :3] = (u @ np.diag([1, 1, np.sign(np.linalg.det(u @ v))]) @ v).T
+    turn, _ = Rotation.align_vectors(truth - truth.mean(axis=0), ours - ours.mean(axis=0))
+    out[:3, :3] = turn.as_matrix()
     out[:3, 3] = truth.mean(axis=0) - out[:3, :3] @ ours.mean(axis=0)
     return out
 

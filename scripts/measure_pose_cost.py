@@ -48,9 +48,7 @@ class Puppet:
     def __init__(self, subject: int, frames: int) -> None:
         self.scene = Scene(SceneSpec(subject, "hard", frames=frames, cameras=1, image_size=720))
         self.K, self.view = plain.camera()
-        body = load_model_body()
-        self.parents = body.parents
-        self.at_rest = body.regressor @ (body.template + body.shapedirs @ self.scene.subject.betas)
+        self.parents, self.at_rest = load_model_body().parents, plain.joints_at_rest(self.scene)
         self.turn = self.view[:3, :3] @ Y_UP_TO_Z_UP
         self.black = np.zeros((plain.HEIGHT, plain.WIDTH, 3), np.float32)
 

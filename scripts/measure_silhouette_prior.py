@@ -17,9 +17,10 @@ import torch
 from torch import Tensor
 
 from occfusion.prior_training.random_occluders import centre_strip, random_half
-from occfusion.prior_training.silhouette_batches import Batch, hidden_batch
+from occfusion.prior_training.silhouette_batches import hidden_batch
 from occfusion.prior_training.silhouette_examples import Estimate, draw_camera, draw_poses, make_example
 from occfusion.prior_training.silhouette_task import hidden_iou
+from occfusion.prior_training.task import Batch
 from occfusion.priors.embedded.conditions import GROUPS
 from occfusion.priors.embedded.diffusion import sample
 from occfusion.priors.embedded.silhouette_net import SilhouetteNet, load_silhouette_net
@@ -37,7 +38,6 @@ BODIES = {
     "0.08 rad, root and trunk true": Estimate(pose_noise=0.08, exact=TRUNK),
     "0.08 rad, also neck, thighs, upper arms true": Estimate(pose_noise=0.08, exact=TRUNK + UPPER_LIMBS),
 }
-CAPSULE = 0.035  # crop widths, radius of a limb
 
 
 def main() -> None:

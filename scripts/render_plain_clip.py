@@ -110,27 +110,15 @@ def main() -> None:
     if arguments.mixed:
         mix(scene.take.poses, np.random.default_rng([7, arguments.subject]))
     K, view = camera()
-    room = background(arguments.subject)
-    body = load_model_body()
-    rest = body.template + body.shapedirs @ scene.subject.betas
-    at_rest = body.regressor @ rest
+    room, at_rest = background(arguments.subject), joints_at_rest(scene)
     still, room_ahead = view, room
     joints, poses, transl, pictures, bars = [], [], [], [], []
     for frame in range(arguments.frames):
         if arguments.pan:
             view, room = panned(still, room_ahead, K, arguments.pan * np.sin(2 * np.pi * frame / PAN_FRAMES))
-        turn = view[:3, :3] @ Y_UP_TO_Z_UP
-        quaternion = quaternion_of(turn)
-        pose = scene.take.poses[frame]
-        transforms = bone_transforms(pose, at_rest, body.parents)
-        world = (
-            (transforms[:, :3, :3] @ at_rest[:, :, None])[..., 0]
-            + transforms[:, :3, 3]
-            + scene.take.transl[frame]
-        )
-        joints.append(world @ turn.T + view[:3, 3])
-        root = multiply(quaternion, quaternion_from_axis_angle(pose[:3]))
-        poses.append(np.concatenate([axis_angle_from_quaternion(root), pose[3:]]))
+        pose, places = in_camera(scene, frame, at_rest, view)
+        joints.append(places)
+        poses.append(pose)
         transl.append(joints[-1][0] - at_rest[0])
         picture, mask = shot(scene, frame, K, view, room)
         write_png(arguments.output / "whole" / f"{frame:06d}.png", mask)
@@ -161,6 +149,23 @@ def panned(
     out[:3] = turn @ view[:3]
     flags = {"flags": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REFLECT}
     return out, np.asarray(cv2.warpPerspective(room, K @ turn @ np.linalg.inv(K), (WIDTH, HEIGHT), **flags))
+
+
+def joints_at_rest(scene: Scene) -> np.ndarray:
+    """Returns the joints of a scene's person at rest, `[24, 3]`, metres."""
+    body = load_model_body()
+    return np.asarray(body.regressor @ (body.template + body.shapedirs @ scene.subject.betas))
+
+
+def in_camera(
+    scene: Scene, frame: int, at_rest: np.ndarray, view: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the pose `[72]` and the joints `[24, 3]` of a frame as the camera sees them."""
+    pose, turn = scene.take.poses[frame], view[:3, :3] @ Y_UP_TO_Z_UP
+    moves = bone_transforms(pose, at_rest, load_model_body().parents)
+    world = (moves[:, :3, :3] @ at_rest[:, :, None])[..., 0] + moves[:, :3, 3] + scene.take.transl[frame]
+    root = multiply(quaternion_of(turn), quaternion_from_axis_angle(pose[:3]))
+    return np.concatenate([axis_angle_from_quaternion(root), pose[3:]]), world @ turn.T + view[:3, 3]
 
 
 def quaternion_of(matrix: np.ndarray) -> np.ndarray:

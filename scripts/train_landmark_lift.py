@@ -24,10 +24,8 @@ from occfusion.footage.landmarks import COUNT, MIRRORED
 from occfusion.footage.lift import ASSET, HIPS, MOST, WORLD_SCALE, from_hips, inputs
 from occfusion.footage.people import follow
 from occfusion.human import embedded_body
-from occfusion.synth.fullbody import bone_transforms, load_model_body
 from occfusion.synth.scene import Scene
 from occfusion.synth.spec import SceneSpec
-from occfusion.synth.studio import Y_UP_TO_Z_UP
 
 SUBJECTS, MIXED_FROM, FRAMES = range(20, 100), 32, 100
 HIDDEN, EPOCHS, BATCH, RATE = 128, 60, 128, 2e-3
@@ -40,20 +38,14 @@ def person(subject: int) -> dict[str, np.ndarray]:
     plain.AWAY, plain.LENS, plain.AIM = rng.uniform(2.6, 4.5), rng.uniform(0.7, 1.9), rng.uniform(0.85, 1.05)
     plain.FOCAL = plain.AWAY / 3.3 * 1024 * rng.uniform(0.8, 1.05)
     scene = Scene(SceneSpec(subject, "hard", frames=FRAMES, cameras=1, image_size=720))
-    poses = scene.take.poses
     if subject >= MIXED_FROM:
-        plain.mix(poses, rng)
+        plain.mix(scene.take.poses, rng)
     K, view = plain.camera()
-    room, body = plain.background(subject), load_model_body()
-    at_rest = body.regressor @ (body.template + body.shapedirs @ scene.subject.betas)
-    turn = view[:3, :3] @ Y_UP_TO_Z_UP
-    quaternion = plain.quaternion_of(turn)
+    room, at_rest = plain.background(subject), plain.joints_at_rest(scene)
     rows, pictures = [], []
-    for frame, pose in enumerate(poses):
-        root = plain.multiply(quaternion, plain.quaternion_from_axis_angle(pose[:3]))
-        move = bone_transforms(pose, at_rest, body.parents)[0]
-        pelvis = (move[:3, :3] @ at_rest[0] + move[:3, 3] + scene.take.transl[frame]) @ turn.T + view[:3, 3]
-        rows.append(np.concatenate([plain.axis_angle_from_quaternion(root), pose[3:], pelvis - at_rest[0]]))
+    for frame in range(FRAMES):
+        pose, joints = plain.in_camera(scene, frame, at_rest, view)
+        rows.append(np.concatenate([pose, joints[0] - at_rest[0]]))
         picture, _ = plain.shot(scene, frame, K, view, room)
         jpeg = cv2.imencode(
             ".jpg", np.clip(picture, 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 80]

@@ -27,17 +27,10 @@ def main() -> int:
     names = sorted({name for case in cases for name in case["test"].split()})
     with tempfile.TemporaryDirectory() as place:
         report = Path(place) / "report.xml"
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "-p",
-            "no:cacheprovider",
-            f"--junitxml={report}",
-            *names,
-        ]
-        code = subprocess.run(command, cwd=ROOT, check=False).returncode
+        options = ["-q", "-p", "no:cacheprovider", f"--junitxml={report}"]
+        code = subprocess.run(
+            [sys.executable, "-m", "pytest", *options, *names], cwd=ROOT, check=False
+        ).returncode
         bad, seen = set(), set()
         for case in ET.parse(report).getroot().iter("testcase"):
             test = (

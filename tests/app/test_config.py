@@ -7,7 +7,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 
-from occfusion.data import OcclusionSettings
+from occfusion.data.occlusion import OcclusionSettings
 from occfusion.errors import ConfigError
 from occfusion.human.densify import Densification
 from occfusion.settings.names import without_old_names

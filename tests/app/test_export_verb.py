@@ -221,6 +221,9 @@ def test_bad_words_are_one_message(run: Path, tmp_path: Path, capsys: pytest.Cap
         ("a.html", ["--pose", "3"], "all frames of the motion"),
         ("a.obj", ["--for-viewers", "512"], "files of Gaussians"),
         ("a.glb", ["--surface", "--light", "even"], "is in even light"),
+        ("a.html", ["--surface"], "plays Gaussians"),
+        ("a.html", ["--fps", "0"], "--fps 0: must be positive"),
+        ("a.ply", ["--pose", "1", "--motion-fps", "nan"], "--motion-fps nan: must be positive"),
     ],
 )
 def test_options_without_effect_are_refused(

@@ -12,13 +12,15 @@ from typing import Any
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.errors import ConfigCompositionException
+from lightning.pytorch.accelerators import MPSAccelerator
 from omegaconf import OmegaConf
 
 from app.conftest import CONF
 from app.test_command_line import ENVIRONMENT, ROOT
 from occfusion.cli.guarded import check_arguments, check_composed, guarded_hydra
 from occfusion.errors import ConfigError
-from occfusion.run import machine
+from occfusion.run import environment
+from occfusion.run.prepare import make_renderer
 from occfusion.settings.schema import Settings, TrainerSettings, load_settings
 
 CALLS = (
@@ -169,24 +171,38 @@ def test_what_the_trainer_would_refuse_later_is_refused_with_the_settings(bad: s
         load_settings(config)
 
 
+@pytest.mark.parametrize("asked", ["auto", "cpu", "cuda"])
+def test_training_and_pictures_are_on_one_device_where_there_is_another_kind_of_gpu(
+    monkeypatch: pytest.MonkeyPatch, asked: str
+) -> None:
+    """Lightning's `auto` takes Apple's GPU; pictures and float64 are not there."""
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    monkeypatch.setattr(MPSAccelerator, "is_available", staticmethod(lambda: True))
+    made = Settings(trainer=TrainerSettings(accelerator=asked))
+    assert environment.accelerator_of(made) == "cpu" == make_renderer(made).device.type
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    expected = "cpu" if asked == "cpu" else "cuda"
+    assert environment.accelerator_of(made) == expected == make_renderer(made).device.type
+
+
 def test_a_missing_gpu_and_a_full_disk_are_told_before_any_work(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     made = Settings(output_dir=str(tmp_path / "not" / "there"))
-    machine.check_machine(made)
+    environment.check_machine(made)
     with monkeypatch.context() as patch:
         patch.setattr("torch.cuda.device_count", lambda: 0)
-        machine.check_machine(made)
+        environment.check_machine(made)
         with pytest.raises(ConfigError, match="no GPUs are usable here"):
-            machine.check_machine(replace(made, trainer=TrainerSettings(accelerator="gpu")))
+            environment.check_machine(replace(made, trainer=TrainerSettings(accelerator="gpu")))
         patch.setattr("torch.cuda.device_count", lambda: 1)
         with pytest.raises(ConfigError, match="1 GPUs"):
-            machine.check_machine(replace(made, trainer=TrainerSettings(accelerator="gpu", devices=2)))
+            environment.check_machine(replace(made, trainer=TrainerSettings(accelerator="gpu", devices=2)))
     with monkeypatch.context() as patch:
-        patch.setattr(machine.os, "access", lambda path, _: path != tmp_path)
+        patch.setattr(environment.os, "access", lambda path, _: path != tmp_path)
         with pytest.raises(ConfigError, match=r"cannot be written .*; name another folder"):
-            machine.check_machine(made)
-    usage = machine.shutil.disk_usage(tmp_path)._replace(free=3_000_000)
-    monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: usage)
+            environment.check_machine(made)
+    usage = environment.shutil.disk_usage(tmp_path)._replace(free=3_000_000)
+    monkeypatch.setattr(environment.shutil, "disk_usage", lambda _: usage)
     with pytest.raises(ConfigError, match="3 MB are free there"):
-        machine.check_machine(made)
+        environment.check_machine(made)

@@ -34,7 +34,7 @@ def test_mending_it_does_not_cost_the_run(
     def trained_again(*_: object) -> None:
         raise AssertionError("the run was lost")
 
-    monkeypatch.setattr(optim.Optimisation, "_train", trained_again)
+    monkeypatch.setattr(optim, "_train", trained_again)
     cv2.imwrite(str(mask), picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     assert mask.stat().st_size != len(whole), "another file, as one from another source would be"
     _, metrics = run_tiny(tmp_path, folder.path, *OPTIONS)

@@ -96,10 +96,6 @@ def test_one_bad_gradient_is_named_before_it_spreads(wrong: float) -> None:
 
 def test_one_bad_term_is_named() -> None:
     terms = {"rgb": torch.tensor(3e38), "mask": torch.tensor(3e38)}
-    check_finite_terms(terms, "optim", 7, "000003")
-    check_finite_terms({}, "optim", 7, "000003")
-    with pytest.raises(NumericsError, match="the loss term `ssim` is nan"):
-        check_finite_terms({**terms, "ssim": torch.tensor(float("nan"))}, "optim", 7, "000003")
     for wrong in (float("nan"), float("inf"), -float("inf")):
         bad = {**terms, "ssim": torch.tensor(wrong)}
         with pytest.raises(NumericsError, match=f"the loss term `ssim` is {wrong}"):

@@ -114,7 +114,7 @@ def test_a_missing_package_is_said_before_anything_is_done(
 def test_what_is_not_chosen_is_not_imported() -> None:
     code = (
         "import json, sys, occfusion.stages.loggers as l; from pathlib import Path; "
-        "l.make_logs(l.LoggerSettings(), l.Place(l.RunFolder(Path('.')), 'optim'), {}); "
+        "l.make_logs(l.Settings(), l.RunFolder(Path('.')), 'optim', None); "
         "print(json.dumps([m for m in ('tensorboard', 'torch.utils.tensorboard', 'wandb') if m in sys.modules]))"
     )
     done = subprocess.run(

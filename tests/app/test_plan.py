@@ -311,8 +311,8 @@ def test_the_papers_recipe_leaves_nothing_out_and_adds_nothing() -> None:
 @pytest.mark.parametrize(
     ("overrides", "rounds"),
     [
-        ((), [100, 200, 300, 400, 500, 600]),
-        (("optim.steps=1800",), [100, 200, 300, 400, 500, 600]),  # its own steps count, whatever came before
+        ((), [100, 200, 300, 400, 500]),
+        (("optim.steps=1800",), [100, 200, 300, 400, 500]),  # its own steps count, whatever came before
         (("speed=fast",), [200, 400]),
         (("speed=best",), [200, 400, 600, 800, 1000]),
         (("refine=paper",), [200, 400, 600, 800, 1000]),
@@ -435,11 +435,11 @@ def test_no_prior_paints_where_nothing_is_hidden():
 
 def test_the_perceptual_term_of_the_refinement_begins_at_half_of_its_steps() -> None:
     asked, hidden = settings_of(), frames(*[0.5] * 12)
-    assert asked.refine.first_perceptual_step == 656  # the first of every sixteenth from the middle on
+    assert asked.refine.first_perceptual_step == 464  # the first of every sixteenth from the middle on
     plan = planning.make_plan(asked, SUMMARY, "torch", hidden)
     decisions = {d.part: d for d in plan.decisions}
     schedule = decisions["perceptual term at every step and on the whole person in refine"]
-    assert not schedule.used and "from step 656 of 1300 on" in schedule.reason
+    assert not schedule.used and "from step 464 of 900 on" in schedule.reason
     assert plan.settings.refine.lambda_lpips and not plan.settings.optim.lambda_lpips
     assert used(settings_of("recipe=paper"), None)[
         "perceptual term at every step and on the whole person in refine"
@@ -447,10 +447,10 @@ def test_the_perceptual_term_of_the_refinement_begins_at_half_of_its_steps() -> 
 
 
 def test_a_perceptual_term_that_is_never_due_is_left_out() -> None:
-    plan = planning.make_plan(settings_of("trainer.max_steps=656"), SUMMARY, "torch", frames(*[0.5] * 12))
+    plan = planning.make_plan(settings_of("trainer.max_steps=464"), SUMMARY, "torch", frames(*[0.5] * 12))
     term = {d.part: d for d in plan.decisions}["loss term lpips in refine"]
     assert (
-        not term.used and "refine.perceptual_from = 0.5 begins at step 656, and 656 are taken" in term.reason
+        not term.used and "refine.perceptual_from = 0.5 begins at step 464, and 464 are taken" in term.reason
     )
     assert not plan.settings.refine.lambda_lpips
     assert plan.settings.optim.lambda_lpips == 1e3

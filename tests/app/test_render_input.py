@@ -14,7 +14,7 @@ from occfusion.__main__ import main
 from occfusion.errors import ConfigError, DataError
 from occfusion.run.showing import run_names
 from occfusion.show.drawing import Layers
-from occfusion.show.film import Background, picture_of, side_by_side
+from occfusion.show.film import picture_of, side_by_side
 from occfusion.show.views import read_views
 
 CAMERA = {
@@ -84,12 +84,21 @@ def test_cameras_of_a_file(tmp_path: Path) -> None:
         ({"viewmat": np.diag([2.0, 1, 1, 1]).tolist()}, r"cameras\[1\].*rigid"),
         ({"viewmat": np.diag([-1.0, 1, 1, 1]).tolist()}, r"cameras\[1\].*mirrors"),
         ({"viewmat": [[1.0]]}, r"cameras\[1\].*shape"),
+        ({"width": float("inf")}, r"cameras\[1\].*infinity"),
     ],
 )
 def test_a_camera_that_cannot_be_one_is_named(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps({"cameras": [CAMERA, {**CAMERA, **change}]}))
     with pytest.raises(DataError, match=message):
+        read_views(path)
+
+
+def test_a_field_of_view_of_nothing_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "transforms.json"
+    row = {"transform_matrix": np.eye(4).tolist()}
+    path.write_text(json.dumps({"w": 64, "h": 48, "camera_angle_x": 0.0, "frames": [row]}))
+    with pytest.raises(DataError, match=r"cameras\[0\]: no camera"):
         read_views(path)
 
 
@@ -107,10 +116,10 @@ def test_transparent_pictures_have_straight_alpha_and_depth_is_millimetres() -> 
     layers = Layers(
         torch.tensor([[[0.4, 0.2, 0.1], [0.0, 0.0, 0.0]]]), alpha, torch.tensor([[2.5, 0.0]]), None
     )
-    rgba = picture_of(layers, "rgb", Background(None), None)
+    rgba = picture_of(layers, "rgb", None, None)
     assert rgba[0, 0].tolist() == [204, 102, 51, 128] and rgba[0, 1, 3] == 0
-    assert picture_of(layers, "depth", Background(None), None).tolist() == [[2500, 0]]
-    blue = Background(torch.tensor([0.0, 0.0, 1.0]))
+    assert picture_of(layers, "depth", None, None).tolist() == [[2500, 0]]
+    blue = torch.tensor([0.0, 0.0, 1.0])
     assert picture_of(layers, "rgb", blue, None)[0].tolist() == [[102, 51, 153], [0, 0, 255]]
 
 

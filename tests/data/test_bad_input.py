@@ -24,7 +24,10 @@ from data import layout_writers as writers
 from data.layout_writers import Source
 from files.test_bodyfile import content as body_content
 from files.test_bodyfile import official_pickle
-from occfusion.data import HumanDataModule, OcMotionDataModule, VideoDataModule, ZjuDataModule
+from occfusion.data.module import HumanDataModule
+from occfusion.data.ocmotion.ocmotion_data import OcMotionDataModule
+from occfusion.data.video.video_data import VideoDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import DataError
 from occfusion.files.bodyfile import load_body_arrays
 from occfusion.human import load_body

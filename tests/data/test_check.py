@@ -60,6 +60,13 @@ def change_cameras(scene: Source, key: str, change) -> None:
     writers.save_object(scene.folder / "annots.npy", scene.annots)
 
 
+def test_a_folder_with_brackets_keeps_its_name(capsys, tmp_path):
+    code, said = check(capsys, tmp_path / "clip [final]")
+    first, *_, last = said.splitlines()
+    assert code == 1 and first.strip().endswith("clip [final]")
+    assert last.endswith("clip [final]: training would not start")
+
+
 def test_a_sound_folder(scene, capsys, tmp_path):
     code, said = check(capsys, scene.folder)
     assert code == 0 and "ready to train" in said and "doubt" not in said and "error" not in said

@@ -11,7 +11,7 @@ import pytest
 from data import layout_writers as writers
 from occfusion.data.ocmotion import ocmotion_annotations
 from occfusion.data.ocmotion.chomp_layout import ChompScene, sequence_names
-from occfusion.errors import ConfigError
+from occfusion.errors import ConfigError, DataError
 from occfusion.files import thinned, unpickle
 
 K = np.array([[1500.0, 0, 960], [0, 1500, 540], [0, 0, 1]])
@@ -48,6 +48,15 @@ def folder(tmp_path) -> Path:
     writers.save_pickle(tmp_path / "annot" / "train.pkl", [sequence("0001", 1), sequence("0002", 2)])
     writers.save_pickle(tmp_path / "annot" / "test.pkl", [sequence("0003", 3)])
     return tmp_path
+
+
+def test_annotations_without_a_sequence_are_not_called_missing(tmp_path):
+    writers.save_pickle(tmp_path / "annot" / "train.pkl", [])
+    with pytest.raises(DataError, match="holds no sequence in its annotations"):
+        opened(tmp_path, "0001")
+    (tmp_path / "annot" / "train.pkl").unlink()
+    with pytest.raises(DataError, match=r"holds neither train\.pkl nor test\.pkl"):
+        opened(tmp_path, "0001")
 
 
 def test_each_sequence_has_its_own_poses(folder):

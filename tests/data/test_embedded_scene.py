@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from occfusion.data import ZjuDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.human import load_body
 from occfusion.synth import SceneSpec, write_scene
 
@@ -26,7 +26,7 @@ def data(request, tmp_path_factory) -> ZjuDataModule:
 
 def posed(data, frame) -> np.ndarray:
     pose = frame.pose
-    vertices, _ = data.poser._body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)
+    vertices, _ = data.poser.body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)
     return vertices.numpy()
 
 
@@ -37,7 +37,7 @@ def outline(data, frame, shift: float) -> np.ndarray:
     pixels = seen @ camera.K.numpy().T
     corners = (pixels[:, :2] / pixels[:, 2:] + [shift, 0.0]) * FINE - 0.5  # OpenCV draws with centres at 0
     fine = np.zeros((SIZE * FINE, SIZE * FINE), np.uint8)
-    for triangle in np.rint(corners * 16).astype(np.int32)[data.poser._body.faces.numpy()]:
+    for triangle in np.rint(corners * 16).astype(np.int32)[data.poser.body.faces.numpy()]:
         cv2.fillConvexPoly(fine, triangle, 255, shift=4)
     return cv2.resize(fine, (SIZE, SIZE), interpolation=cv2.INTER_AREA) >= 128
 

@@ -11,8 +11,11 @@ import torch
 
 from data import layout_writers as writers
 from data.layout_writers import Source
-from occfusion.data import HumanDataModule, OcMotionDataModule, VideoDataModule, ZjuDataModule
 from occfusion.data.layouts import find_layout, sequences_in
+from occfusion.data.module import HumanDataModule
+from occfusion.data.ocmotion.ocmotion_data import OcMotionDataModule
+from occfusion.data.video.video_data import VideoDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import ConfigError, DataError
 from occfusion.synth import SceneSpec, write_scene
 from occfusion.synth.studio import make_cameras

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occfusion.data import OcMotionDataModule, VideoDataModule
 from occfusion.data.cameras import FixedCamera
 from occfusion.data.folder_contents import like, natural, partners, pictures_in, pngs_in, require_same, strays
-from occfusion.data.ocmotion.ocmotion_data import PAPER_SEQUENCES
+from occfusion.data.ocmotion.ocmotion_data import PAPER_SEQUENCES, OcMotionDataModule
 from occfusion.data.scene import BodyParameters
+from occfusion.data.video.video_data import VideoDataModule
 from occfusion.errors import ConfigError, DataError
 
 K = np.array([[100.0, 0, 32], [0, 100, 32], [0, 0, 1]])

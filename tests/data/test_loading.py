@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from data.tiny_scene import write_tiny_scene
-from occfusion.data import ZjuDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.files import images
 
 FRAMES, CAMERAS = 100, 23

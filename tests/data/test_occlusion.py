@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occfusion.data import ZjuDataModule
 from occfusion.data.occlusion import KINDS, OcclusionSettings, plan, strip_columns
 from occfusion.data.silhouette import Silhouette, bounding_box
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import ConfigError, DataError
 
 

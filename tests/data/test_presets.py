@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from data.tiny_scene import write_tiny_scene
-from occfusion.data import ZjuDataModule
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.prepare import Selection, held_out_range, train_range
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.data.zju.zju_protocols import PRESETS, place_strip, select
 from occfusion.errors import ConfigError
 

@@ -14,8 +14,8 @@ import torch
 
 from data import layout_writers as writers
 from data.layout_writers import Source
-from occfusion.data import VideoDataModule
 from occfusion.data.silhouette import who_can_hide
+from occfusion.data.video.video_data import VideoDataModule
 from occfusion.errors import ConfigError, DataError
 from occfusion.evaluation.evaluate import evaluate_image
 from occfusion.observation.frames import observe_frames

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from data.tiny_scene import TinyScene
-from occfusion.data import ZjuDataModule
 from occfusion.data.occluders import read_occlusion, write_occlusion
 from occfusion.data.silhouette import Silhouette
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import DataError
 
 KINDS = ("strip", "box", "moving", "polygons", "files")

@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from data.tiny_scene import write_tiny_scene
-from occfusion.data import OcclusionSettings, ZjuDataModule
+from occfusion.data.occlusion import OcclusionSettings
+from occfusion.data.zju.zju_data import ZjuDataModule
 from oracles.pictures import area_scaled, undistorted
 
 
@@ -271,7 +272,9 @@ def test_decoded_frames_are_kept_within_the_bound(tiny, monkeypatch):
     decoded: list[str] = []
     true_read = packing.read_rgb
     monkeypatch.setattr(packing, "read_rgb", lambda path: decoded.append(str(path)) or true_read(path))
-    kept, fresh = module(tiny), module(tiny, cache_megabytes=0)
+    kept, fresh = module(tiny), module(tiny)
+    kept.setup()
+    monkeypatch.setattr("occfusion.data.module.CACHE_BYTES", 0)
     for step in range(18):
         assert same_frame(kept.frame_at(step), fresh.frame_at(step))
     assert len(decoded) == 6 + 18

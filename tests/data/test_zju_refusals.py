@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from data.tiny_scene import TinyScene, write_tiny_scene
-from occfusion.data import ZjuDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import ConfigError, DataError
 
 

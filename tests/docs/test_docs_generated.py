@@ -32,15 +32,16 @@ def test_settings_page(settings_text):
 
 
 def test_every_setting_is_on_the_page(scripts, settings_text):
-    facts = scripts("stated_settings")
+    facts = scripts("settings_page")
     for overrides in ((), ("dataset=zju",), ("dataset=video",), ("dataset=ocmotion",), ("prior=sd15",)):
         for key, _ in facts.flat(facts.composed(*overrides)):
             is_choice = key.endswith(".name") or key.startswith("variant.")
             assert is_choice or f"| `{key}` |" in settings_text, key
 
 
-def test_ranges_are_those_that_the_checks_apply(scripts):
-    limits = scripts("stated_settings").stated_limits()
+def test_ranges_are_those_that_the_checks_apply(settings_text):
+    rows = (line.split(" | ") for line in settings_text.splitlines())
+    limits = {row[0].strip("| `"): row[3] for row in rows if len(row) == 5}
     assert limits["optim.sh_degree"] == "0 to 3"
     assert limits["plan"] == "needed or full"
     assert limits["optim.densification.every"] == "at least 1"
@@ -48,32 +49,32 @@ def test_ranges_are_those_that_the_checks_apply(scripts):
 
 
 def test_sentences(scripts):
-    facts = scripts("stated_settings")
+    facts = scripts("settings_page")
     assert facts.first_sentence("of a lamp (docs/method/optim.md); A | B") == "of a lamp; A or B"
     assert facts.first_sentence("first, e.g. This.\n  Second. Third.") == "first, e.g. This"
 
 
 def test_a_setting_without_a_sentence_is_an_error(scripts):
-    facts = scripts("stated_settings")
+    facts = scripts("settings_page")
     record = dataclasses.make_dataclass("Record", [("b", int, 1)])
     with pytest.raises(facts.ConfigError, match=r"a\.b"):
         facts.rows("a", record, {"b": 1})
 
 
 def test_protocols_page(scripts):
-    text = scripts("protocol_pages").protocols_page()
+    text = scripts("write_reference_pages").protocols_page()
     assert text == (DOCS / "reference" / "protocols.md").read_text(encoding="utf-8"), AGAIN
 
 
 def test_faults_page(scripts):
-    assert scripts("fault_page").fault_page() == (DOCS / "reference" / "faults.md").read_text(
+    assert scripts("write_reference_pages").fault_page() == (DOCS / "reference" / "faults.md").read_text(
         encoding="utf-8"
     ), AGAIN
 
 
 def test_table_of_protocols(scripts):
     page = (DOCS / "reference" / "protocols.md").read_text(encoding="utf-8")
-    assert scripts("protocol_pages").protocol_table() in page, AGAIN
+    assert scripts("write_reference_pages").protocol_table() in page, AGAIN
     for names in (zju_protocols.PRESETS, ocmotion_protocols.PROTOCOLS, video_protocols.PROTOCOLS):
         for name in names:
             assert f", `{name}` |" in page, name

@@ -36,7 +36,9 @@ def test_a_field_has_no_default() -> None:
 
 def test_masks_by_frames() -> None:
     masks = {frame: np.random.default_rng(frame).random((64, 48)) < 0.3 for frame in (3, 1, 7)}
-    packed = PackedMasks(masks)
+    packed = PackedMasks()
+    for frame, mask in masks.items():
+        packed.put(frame, mask)
     packed.put(9, ~masks[3])
     assert list(packed) == [3, 1, 7, 9] and len(packed) == 4 and 1 in packed and 2 not in packed
     assert packed.get(2) is None

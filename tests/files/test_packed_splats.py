@@ -7,11 +7,10 @@ import pytest
 from test_ply import make
 
 from occfusion.errors import DataError
-from occfusion.export.splat_glb import write_splat_glb
-from occfusion.files.compressed_ply import CHUNK, write_compressed_ply
+from occfusion.export.splats import write_splat_glb
 from occfusion.files.glb import Glb
+from occfusion.files.packed_splats import CHUNK, write_compressed_ply, write_spz
 from occfusion.files.ply import SplatTable
-from occfusion.files.spz import write_spz
 from oracles.splat_files import read_by_trimesh
 
 gsply = pytest.importorskip("gsply", reason="gsply reads files of Gaussians independently of us")

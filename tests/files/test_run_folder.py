@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from occfusion.errors import CheckpointError
-from occfusion.files.run_folder import REGIONS, FrameFolder, RunFolder, StageFolder, read_json
+from occfusion.files.run_folder import REGIONS, FrameFolder, Inside, RunFolder, StageFolder, read_json
 from occfusion.geometry.coverage import CLASSES
 
 PACKAGE = Path(__file__).parents[2] / "src" / "occfusion"
@@ -31,7 +31,7 @@ def names() -> tuple[set[str], set[str]]:
     found: set[str] = set()
     for holder in (run, run.stage("optim"), run.masks, run.inpainted):
         for name, member in vars(type(holder)).items():
-            value = getattr(holder, name) if isinstance(member, property) else None
+            value = getattr(holder, name) if isinstance(member, (property, Inside)) else None
             found |= {part.name for part in [value] if isinstance(part, Path)}
             found |= {value.path.name, value.second} if isinstance(value, FrameFolder) else set()
     return {name for name in found if "." in name}, {name for name in found if "." not in name}

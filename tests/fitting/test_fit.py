@@ -9,7 +9,7 @@ import torch
 from occfusion.errors import DataError
 from occfusion.fitting.anchors import landmark_places
 from occfusion.fitting.batch import BodyBatch, rotations_of, spread_vertices
-from occfusion.fitting.flips import exchanged, swapped_frames
+from occfusion.fitting.heading import exchanged, swapped_frames
 from occfusion.fitting.pipeline import fit_body
 from occfusion.fitting.prior import beyond_limits, mirrored, unlikely
 from occfusion.footage.landmarks import INDEX, KeyPoints

@@ -11,11 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from occfusion.fitting.anchors import landmark_places
 from occfusion.fitting.batch import BodyBatch, rotations_of
-from occfusion.fitting.heading import cheapest_path, facing, hidden_headings, upright
+from occfusion.fitting.heading import TRUNK, cheapest_path, facing, hidden_headings, upright
 from occfusion.fitting.pipeline import fit_body
 from occfusion.fitting.prior import mean_pose
 from occfusion.fitting.quality import posed
-from occfusion.fitting.trunk import TRUNK
 from occfusion.footage.landmarks import INDEX, KeyPoints
 from occfusion.human import embedded_body
 from occfusion.synth.motion import make_take

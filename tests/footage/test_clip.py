@@ -29,6 +29,21 @@ def test_frames_are_chosen_by_step_count_and_range(tmp_path):
     np.testing.assert_allclose(np.diff(shot.seconds), 0.1, atol=1e-3)
 
 
+def test_frames_are_counted_where_the_container_does_not_say_how_many(tmp_path):
+    """As in what a browser records: its header was written before the end was known."""
+    writer = cv2.VideoWriter(str(tmp_path / "whole.mkv"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (128, 96))
+    for picture in moving(40):
+        writer.write(picture)
+    writer.release()
+    content = (tmp_path / "whole.mkv").read_bytes()
+    duration = content.index(b"\x44\x89\x88")  # Matroska's id, and eight bytes
+    void = b"\xec\x89" + bytes(9)
+    (tmp_path / "clip.mkv").write_bytes(content[:duration] + void + content[duration + len(void) :])
+    clip = open_clip(tmp_path / "clip.mkv")
+    assert clip.frames == 40
+    assert read_clip(clip, frames=3).numbers == [0, 20, 39]
+
+
 def test_fast_clips_are_thinned_and_large_ones_made_smaller_and_both_is_said(tmp_path):
     write_frames(tmp_path / "clip.mp4", moving(24, shape=(200, 400)), fps=120)
     shot = read_clip(open_clip(tmp_path / "clip.mp4"), side=200)

@@ -36,8 +36,8 @@ def played(monkeypatch, script, upside_down=False) -> list[np.ndarray]:
 
     monkeypatch.setattr(people, "Landmarker", Landmarker)
     monkeypatch.setattr(
-        people, "Detector", lambda: lambda picture: [Detection(0.9, (0, 0, 1, 1), one) for one in there(picture)]
-    )  # fmt: skip
+        people, "Detector", lambda: lambda picture: [Detection(0.9, one) for one in there(picture)]
+    )
     return [np.full((SIZE, SIZE, 3), k, np.uint8) for k in range(len(script))]
 
 

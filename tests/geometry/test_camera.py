@@ -43,12 +43,10 @@ def test_projection_gradient():
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7, math.pi, 5.0])
-@pytest.mark.parametrize("up", [None, [0.0, 0, 1], [0.0, -2, 0], [1.0, 1, 1]])
-def test_orbit_sees_its_target_upright(angle, up):
+def test_orbit_sees_its_target_upright(angle):
     target = torch.tensor([0.5, 1.0, -2.0], dtype=torch.float64)
-    axis = None if up is None else torch.tensor(up, dtype=torch.float64)
-    camera = orbit_camera(target, angle, 3.0, math.radians(60), 100, up=axis)
-    up_unit = torch.tensor([0.0, 1, 0]).double() if axis is None else axis / axis.norm()
+    camera = orbit_camera(target, angle, 3.0, math.radians(60), 100)
+    up_unit = torch.tensor([0.0, 1, 0]).double()
     pixels, depths = project_points(torch.stack([target, target + 0.1 * up_unit]), camera)
     assert torch.allclose(pixels[0], torch.tensor([50.0, 50.0]).double(), atol=1e-9)
     assert depths[0] == pytest.approx(3.0)

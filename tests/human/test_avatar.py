@@ -150,17 +150,6 @@ def test_bands_that_are_not_active_do_not_colour(body):
         avatar.active_sh_degree = 3
 
 
-def test_turned_canonical_cloud(body):
-    avatar = plain(body)
-    avatar.active_sh_degree = 1
-    angle = 0.8
-    turn = axis_angle_to_matrix(torch.tensor([0.0, angle, 0.0]).double())
-    straight, turned = avatar.canonical(CENTRE), avatar.canonical(turn @ CENTRE, angle)
-    assert torch.allclose(straight.means @ turn.T, turned.means, atol=1e-13)
-    assert torch.allclose(turn @ straight.covariances @ turn.T, turned.covariances, atol=1e-13)
-    assert torch.allclose(straight.colors, turned.colors, atol=1e-12)
-
-
 def test_gradients_of_the_whole_chain():
     body = Body(make_arrays(vertices=4), torch.float64)
     avatar = shake(Avatar(body, sh_degree=1), size=0.1)

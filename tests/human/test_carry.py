@@ -6,8 +6,8 @@ from torch.autograd import gradcheck
 
 from occfusion.geometry import skinning
 from occfusion.geometry.rotation import quaternion_to_matrix
-from occfusion.human.binding import bind
 from occfusion.human.carry import blend_columns, carry
+from occfusion.human.deform import bind
 
 
 def inputs(n=5, seed=0, dtype=torch.float64):

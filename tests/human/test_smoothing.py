@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from occfusion.motion.smoothing import least_nearby, smoothed
+from occfusion.motion.performance import least_nearby, smoothed
 
 
 @pytest.mark.parametrize("steps", [1, 2, 7, 120])

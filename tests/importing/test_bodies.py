@@ -328,6 +328,16 @@ def test_unknown_content_and_damage_are_named(tmp_path):
         read(tmp_path / "x.pkl")
     with pytest.raises(ConfigError, match="known are"):
         read(tmp_path / "x.pkl", tool="nothing")
+    np.savez(tmp_path / "x.npz", poses=np.zeros((2, 72)))
+    joblib.dump([{"pose": np.zeros(72)}], tmp_path / "list.pkl")
+    for tool, name in (
+        ("wham", "x.npz"),
+        ("smpl", "x.npz"),
+        ("prompthmr", "x.pkl"),
+        ("4d-humans", "list.pkl"),
+    ):
+        with pytest.raises(DataError, match=rf"{name}: is not what {tool} writes"):
+            read(tmp_path / name, tool=tool)
     results = {0: {"pose": np.full((2, 72), np.nan), "trans": np.zeros((2, 3)), "betas": np.zeros((2, 10))}}
     results[0]["frame_ids"] = np.arange(2)
     joblib.dump(results, tmp_path / "w.pkl")

@@ -206,6 +206,19 @@ def test_rows_of_another_clip_are_refused(tmp_path, clip, shot):
         read_keypoints(tmp_path / "k.json", clip, shot)
 
 
+def test_people_of_mmpose_without_scores_are_refused(tmp_path, clip, shot):
+    """open-mmlab/mmpose `mmpose/structures/utils.py` split_instances writes both."""
+    rows17 = np.reshape(body(17, 5.0), (17, 3))
+    whole = {"keypoints": rows17[:, :2].tolist(), "keypoint_scores": rows17[:, 2].tolist()}
+    rows = [{"frame_id": k, "instances": [whole]} for k in range(FRAMES)]
+    (tmp_path / "k.json").write_text(json.dumps({"instance_info": rows}))
+    assert read_keypoints(tmp_path / "k.json", clip, shot).presence.all()
+    rows[1]["instances"] = [{"keypoints": whole["keypoints"]}]
+    (tmp_path / "k.json").write_text(json.dumps({"instance_info": rows}))
+    with pytest.raises(DataError, match=r"keypoint_scores"):
+        read_keypoints(tmp_path / "k.json", clip, shot)
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [

@@ -19,6 +19,28 @@ def read_by_gsply(path: Path) -> dict[str, np.ndarray]:
     return {"means": data.means, "quats": data.quats, "scales": np.exp(data.scales), "sh": sh, "o": opacities}
 
 
+def read_raw_ply(path: Path) -> dict[str, np.ndarray]:
+    """Raw values of a 3DGS `.ply`, by the names of `SplatTable`."""
+    header, numbers = path.read_bytes().split(b"end_header\n", 1)
+    names = [line.split()[-1] for line in header.decode("ascii").splitlines() if line.startswith("property")]
+    values = np.frombuffer(numbers, "<f4").reshape(-1, len(names))
+    column = dict(zip(names, values.T, strict=True))
+
+    def take(*wanted: str) -> np.ndarray:
+        return np.stack([column[name] for name in wanted], axis=1)
+
+    rest = sum(name.startswith("f_rest_") for name in names) // 3
+    higher = [[column[f"f_rest_{colour * rest + k}"] for colour in range(3)] for k in range(rest)]
+    return {
+        "means": take("x", "y", "z"),
+        "raw_quats": take(*(f"rot_{k}" for k in range(4))),
+        "log_scales": take(*(f"scale_{k}" for k in range(3))),
+        "opacity_logits": column["opacity"],
+        "sh0": take("f_dc_0", "f_dc_1", "f_dc_2")[:, None],
+        "sh_rest": np.array(higher, np.float32).reshape(rest, 3, len(values)).transpose(2, 0, 1),
+    }
+
+
 def read_by_trimesh(path: Path) -> dict[str, np.ndarray]:
     """What trimesh decodes, named as KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting has it.
 

@@ -12,8 +12,9 @@ import torch
 from made_up_person import made_up_observation
 from occfusion.errors import NumericsError
 from occfusion.priors.masks import checked_probability
-from occfusion.priors.sd15.mask_prior import Sd15MaskPrior, Sd15Settings, prompts
+from occfusion.priors.sd15.mask_prior import Sd15MaskPrior, prompts
 from occfusion.priors.sd15.pipeline import frame_seed
+from occfusion.priors.sd15.settings import Sd15Settings
 
 FAST: dict[str, Any] = {"resolution": 64, "steps": 2}
 FRAME = made_up_observation()

@@ -18,8 +18,9 @@ from safetensors.torch import load_file, save_file
 from occfusion.errors import ConfigError, DataError
 from occfusion.priors.build_prior import make_mask_prior
 from occfusion.priors.sd15.loading import require_packages
-from occfusion.priors.sd15.mask_prior import Sd15MaskPrior, Sd15Settings
+from occfusion.priors.sd15.mask_prior import Sd15MaskPrior
 from occfusion.priors.sd15.score_prior import Sd15ScoreSettings
+from occfusion.priors.sd15.settings import Sd15Settings
 
 CONF = Path(__file__).parents[2] / "conf"
 PUBLISHED = [

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import argparse
 import csv
 import dataclasses
 import math
@@ -9,13 +10,12 @@ import torch
 
 from occfusion.__main__ import main
 from occfusion.bench.contestants import Contestant, available_backends, backend
-from occfusion.bench.errors import errors_of
-from occfusion.bench.measure import Conditions, accuracy
-from occfusion.bench.memory import extra_memory_mb
-from occfusion.bench.plan import PARTS
+from occfusion.bench.cost import extra_memory_mb, interleaved
+from occfusion.bench.measure import Conditions, accuracy, errors_of
+from occfusion.bench.plan import PARTS, QUICK
 from occfusion.bench.reference import dense_reference
 from occfusion.bench.scenes import SceneSize, make_scene
-from occfusion.bench.timing import interleaved
+from occfusion.cli import bench
 from occfusion.errors import ConfigError
 from occfusion.splat import Limits
 from oracles import splat as oracle
@@ -78,6 +78,19 @@ def test_errors_see_a_wrong_gradient_that_the_picture_hides():
     assert errors.rgb < 1e-12
     assert errors.gradients["quats"] == 1
     assert errors.gradients["means"] < 1e-12
+
+
+def test_a_gradient_that_is_not_a_number_is_the_worst():
+    scene = make_scene(SMALL)
+    honest = backend("torch", torch.float64)
+
+    def render(scene, inputs):
+        turned = inputs["quats"] * 1.0
+        turned.register_hook(lambda gradient: gradient * math.nan)
+        return honest.render(scene, inputs | {"quats": turned})
+
+    errors = errors_of(Contestant("broken", render, torch.float64), scene, dense_reference(scene))
+    assert errors.gradients["means"] < 1e-12 and math.isnan(errors.worst_gradient)
 
 
 def test_errors_count_flipped_pixels_and_missing_depth():
@@ -153,6 +166,27 @@ def test_bad_arguments_end_with_one_line(arguments, message, capsys, tmp_path):
     assert main(["bench", "--quick", "--output", str(tmp_path / "out"), *arguments]) == 1
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_steps_are_measured_on_the_cpu_whatever_the_device(monkeypatch):
+    """As on a machine with a CUDA device, whose backend takes nothing from the CPU."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    known = {"cuda": ["torch", "gsplat"], "cpu": ["torch", "numba"]}
+    monkeypatch.setattr(bench, "available_backends", lambda device, wanted=None: wanted or known[device.type])
+    for part in ("race", "accuracy", "precision"):
+        monkeypatch.setattr(bench, part, lambda *_: iter(()))
+    monkeypatch.setattr(bench, "step", lambda name, *_: iter([(name, _[-1].device.type)]))
+
+    def measured(*words):
+        parser = argparse.ArgumentParser()
+        bench.add_arguments(parser)
+        args = parser.parse_args(["--device", "cuda", *words])
+        return list(bench._measure(args, QUICK, bench._prepare(args)))
+
+    assert measured() == [("numba", "cpu")]
+    assert measured("--backends", "torch", "gsplat") == [("torch", "cpu")]
+    with pytest.raises(ConfigError, match="leave step out of --parts"):
+        measured("--backends", "gsplat")
 
 
 def test_who_gives_no_depth_is_not_blamed_for_its_gradient():

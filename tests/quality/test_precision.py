@@ -7,7 +7,7 @@ import torch
 
 from app.test_config import settings_of
 from occfusion.errors import ConfigError
-from occfusion.perceptual import precision, training_dtype
+from occfusion.perceptual import training_dtype
 from occfusion.plan.decisions import Decision
 from occfusion.plan.make import precision_decisions
 from quality.pictures import noise, waves
@@ -24,14 +24,14 @@ CPU = torch.device("cpu")
     ],
 )
 def test_auto_takes_what_the_processor_has(monkeypatch, known, expected):
-    monkeypatch.setattr(precision.torch.cpu, "get_capabilities", lambda: known)
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: known)
     assert training_dtype("auto", CPU) == expected
     assert training_dtype("float32", CPU) == torch.float32
     assert training_dtype("bfloat16", CPU) == torch.bfloat16
 
 
 def test_auto_is_single_where_torch_cannot_tell(monkeypatch):
-    monkeypatch.setattr(precision.torch, "cpu", SimpleNamespace())
+    monkeypatch.setattr(torch, "cpu", SimpleNamespace())
     assert training_dtype("auto", CPU) == torch.float32
 
 
@@ -73,7 +73,7 @@ def test_the_plan_says_what_was_chosen(monkeypatch):
     asked = settings_of("perceptual.precision=auto")
     assert precision_decisions(asked, [Decision("loss term lpips", False, "")], CPU) == []
     for known, used, words in ((True, False, "multiplies"), (False, True, "does not multiply")):
-        monkeypatch.setattr(precision.torch.cpu, "get_capabilities", lambda known=known: {"amx_bf16": known})
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda known=known: {"amx_bf16": known})
         (decision,) = precision_decisions(asked, term, CPU)
         assert decision.part == "single precision in the perceptual term" and decision.used is used
         assert words in decision.reason and "auto" in decision.reason

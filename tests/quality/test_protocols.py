@@ -8,8 +8,7 @@ import torch
 from hydra import compose, initialize_config_dir
 
 from occfusion.errors import ConfigError
-from occfusion.evaluation.evaluate import ImageRow
-from occfusion.evaluation.tables import write_grouped_csv
+from occfusion.evaluation.evaluate import ImageRow, write_grouped_csv
 from occfusion.perceptual import load_perceptual
 from occfusion.run.evaluation import evaluation_metric
 from occfusion.settings.schema import EvaluationSettings, Settings, load_settings

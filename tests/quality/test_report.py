@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,8 +11,8 @@ import pytest
 from occfusion.errors import CheckpointError
 from occfusion.files.run_folder import RunFolder
 from occfusion.files.table import read_table
-from occfusion.report.losses import _smoothed, plot_losses
-from occfusion.report.page import markdown_table, plot_error_vs_time, write_report
+from occfusion.report.page import _smoothed, markdown_table, plot_error_vs_time, plot_losses, write_report
+from occfusion.report.tables import print_comparison, print_summary
 
 NOTHING = {"psnr": None, "ssim": None, "lpips": None, "mask_iou": None}
 METRICS = {
@@ -109,6 +110,16 @@ def test_a_folder_that_is_no_run(tmp_path):
     (tmp_path / "metrics.json").write_text("{")
     with pytest.raises(CheckpointError, match="not readable JSON"):
         write_report(RunFolder(tmp_path))
+
+
+def test_names_in_brackets_are_printed_whole(capsys):
+    """A terminal's library takes words in brackets for styles."""
+    run = METRICS | {"scene": "clip [final]"}
+    print_summary(Path("runs/[final]/E"), run)
+    print_comparison([run])
+    said = capsys.readouterr().out
+    assert "run folder: runs/[final]/E" in said and "occfusion view runs/[final]/E" in said
+    assert said.count("clip [final]") == 2
 
 
 def test_markdown_table_escapes_bars():

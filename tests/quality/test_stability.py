@@ -62,6 +62,17 @@ def test_what_is_wrong_is_no_longer_in_bounds() -> None:
     assert curves(rows).count("<polyline") == 6
 
 
+def test_one_value_of_several_that_is_not_a_number_exceeds() -> None:
+    right = {"first": torch.ones(3), "second": torch.ones(3)}
+
+    def broken(_: float) -> Answer:
+        return right | {"second": torch.full((3,), torch.nan)}, right
+
+    axis = Axis("any", (1.0,), (1.0,), [Method("nan", broken, Bound(1.0, 1.0))], lambda _: (right, right))
+    (row,) = sweep(axis, quick=True)
+    assert row.verdict == "exceeds"
+
+
 def test_axes_begin_and_end_where_they_are_said_to() -> None:
     found: dict[str, Axis] = {
         axis.name: axis for axis in [*motion_axes(), *picture_axes(torch.device("cpu"))]

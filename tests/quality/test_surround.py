@@ -9,7 +9,7 @@ from torch import Tensor
 
 from occfusion.perceptual import PerceptualMetric, load_perceptual
 from occfusion.perceptual.network import layer_shapes
-from occfusion.perceptual.surround import small
+from occfusion.perceptual.surround import BlackSurround, small
 from occfusion.perceptual.weights import MetricWeights
 
 Box = tuple[int, int, int, int]
@@ -81,6 +81,19 @@ def test_published_weights_both_calls_and_other_sizes_in_turn() -> None:
         for height, width, box in CASES[:2]:
             a, b = pair(height, width, box)
             assert float(metric_.over_black(a, b)) == pytest.approx(float(metric_(a, b)), rel=RELATIVE)
+
+
+class Raced(BlackSurround):
+    """What it keeps is gone at once, as where another thread has just put pictures of another size there."""
+
+    _black = property(lambda self: {}, lambda self, value: None)
+
+
+def test_threads_with_pictures_of_other_sizes_do_no_harm() -> None:
+    metric = made_up(antialiased=True)
+    metric._surround = Raced(metric.network)
+    a, b = pair(*CASES[0])
+    assert float(metric.over_black(a, b)) == pytest.approx(float(metric(a, b)), rel=RELATIVE)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.01, 1e-4])

@@ -297,6 +297,7 @@ MEANINGLESS = {
     "faint": ({"opacities": torch.full((60,), -0.01)}, r"opacities: 60 are outside 0\.\.1"),
     "logits": ({"opacities": torch.full((60,), 3.0)}, r"opacities: 60 are outside 0\.\.1"),
     "far": ({"means": torch.full((60, 3), 1e38)}, "means: 60 are farther away"),
+    "far to one side": ({"means": torch.tensor([[1e38, 0.0, 2.0]] * 60)}, "means: 60 are farther away"),
     "negative": ({"covariances": -torch.eye(3).expand(60, 3, 3)}, "covariances: 60 have a negative"),
     "indefinite": ({"covariances": INDEFINITE.expand(60, 3, 3)}, "covariances: 60 have a negative"),
     **{name: ({"viewmat": turned(name)}, "viewmat is not rigid") for name in ("zero", "scaled", "mirrored", "bent")},

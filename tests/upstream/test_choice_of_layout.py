@@ -13,10 +13,12 @@ import pytest
 from data import layout_writers as writers
 from data.layout_writers import Source
 from occfusion.__main__ import main
-from occfusion.data import OcMotionDataModule, VideoDataModule, ZjuDataModule
 from occfusion.data.layouts import LAYOUTS, find_layout, other_layouts
+from occfusion.data.ocmotion.ocmotion_data import OcMotionDataModule
 from occfusion.data.opening import open_folder
 from occfusion.data.posing import Poser
+from occfusion.data.video.video_data import VideoDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import ConfigError, DataError
 from occfusion.synth import SceneSpec, write_scene
 from upstream import humannerf as upstream

@@ -12,10 +12,10 @@ from hydra import compose, initialize_config_dir
 
 from data.layout_writers import Source
 from occfusion.__main__ import main as run_verb
-from occfusion.data import ZjuDataModule
 from occfusion.data.body_convention import read_body
 from occfusion.data.layouts import sequences_in
 from occfusion.data.posing import ANOTHER_BODY, ROUNDING, Poser, joints_remark, shape_from_joints
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.errors import DataError
 from occfusion.human import Body, load_body
 from occfusion.run import app

@@ -11,8 +11,8 @@ import torch
 
 from data import layout_writers
 from data.layout_writers import Source
-from occfusion.data import VideoDataModule
 from occfusion.data.video.pose_table import measured_up, read_motion
+from occfusion.data.video.video_data import VideoDataModule
 from occfusion.errors import ConfigError, DataError
 from occfusion.synth import SceneSpec, write_scene
 from upstream.instantavatar import smplx_rows

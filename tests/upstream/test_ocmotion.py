@@ -14,7 +14,7 @@ from hydra import compose, initialize_config_dir
 
 from data.layout_writers import Source, save_picture
 from occfusion.__main__ import main
-from occfusion.data import OcMotionDataModule
+from occfusion.data.ocmotion.ocmotion_data import OcMotionDataModule
 from occfusion.data.ocmotion.ocmotion_protocols import PROTOCOLS, describe_ocmotion
 from occfusion.errors import ConfigError, DataError
 from occfusion.human import Body, load_body

@@ -16,10 +16,10 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from data.tiny_scene import write_tiny_scene
-from occfusion.data import ZjuDataModule
 from occfusion.data.occlusion import OcclusionSettings, plan
 from occfusion.data.prepare import Selection, held_out_cameras, held_out_range, train_range
 from occfusion.data.silhouette import Silhouette
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.data.zju.zju_protocols import PRESETS, describe, place_strip, select
 from occfusion.errors import ConfigError
 

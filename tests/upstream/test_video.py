@@ -12,8 +12,8 @@ from hydra import compose, initialize_config_dir
 
 from data import layout_writers
 from data.layout_writers import Source
-from occfusion.data import VideoDataModule
 from occfusion.data.video.pose_tracks import open_tracks
+from occfusion.data.video.video_data import VideoDataModule
 from occfusion.data.video.video_protocols import INSTANT_AVATAR
 from occfusion.errors import ConfigError, DataError
 from occfusion.run.prepare import make_data

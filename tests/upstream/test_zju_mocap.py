@@ -12,12 +12,12 @@ import pytest
 
 from data.layout_writers import Source, save_object
 from occfusion.__main__ import main
-from occfusion.data import ZjuDataModule
+from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.data.zju.zju_layout import ZjuScene
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.images import read_mask
 from occfusion.human import Body, embedded_body, load_body
-from occfusion.human.unblended import without_pose_blend_shapes
+from occfusion.human.body import without_pose_blend_shapes
 from occfusion.run.prepare import make_body
 from occfusion.settings.schema import BodySettings
 from occfusion.synth import SceneSpec, write_scene

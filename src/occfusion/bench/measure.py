@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
+from typing import Any
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from occfusion.bench.contestants import Contestant, backend, tiled
-from occfusion.bench.errors import Errors, compare, errors_of
-from occfusion.bench.memory import extra_memory_mb
+from occfusion.bench.cost import Timing, extra_memory_mb, interleaved
 from occfusion.bench.parts import step_parts
 from occfusion.bench.plan import KNOBS, NO_CUTS, TILE_KNOB, TILES
-from occfusion.bench.reference import dense_reference
+from occfusion.bench.reference import Reference, dense_reference
 from occfusion.bench.scenes import BenchScene, SceneSize, make_scene
-from occfusion.bench.timing import Timing, interleaved
 from occfusion.errors import ConfigError
+
+FLIP = 1e-5
+"""A larger error of a colour is a threshold that was crossed in one precision and not in the other."""
 
 
 @dataclass(frozen=True)
@@ -80,29 +84,50 @@ class Conditions:
     least_rounds: int = 3
 
 
+@dataclass(frozen=True)
+class Errors:
+    """Distances from the reference.
+
+    Attributes:
+        rgb: largest absolute error of a colour.
+        alpha: largest absolute error of alpha.
+        depth: largest absolute error of depth, metres; None where the contestant has no depth.
+        flips: share of pixels with a colour error above `FLIP`.
+        gradients: relative error in the 2-norm, by input.
+    """
+
+    rgb: float
+    alpha: float
+    depth: float | None
+    flips: float
+    gradients: dict[str, float]
+
+    @property
+    def worst_gradient(self) -> float:
+        """The largest of the gradients' errors; not a number where one of them is not."""
+        return float(np.max(list(self.gradients.values())))
+
+
 def race(
     part: str, sizes: Sequence[SceneSize], contestants: Sequence[Contestant], conditions: Conditions
 ) -> Iterator[BenchRow]:
     """Yields time and memory of every contestant on every scene, measured in turn in one process."""
     for size in sizes:
         scene = make_scene(size, conditions.seed).to(conditions.device)
-        timings = interleaved(_passes(scene, contestants), conditions.seconds, conditions.least_rounds)
+        calls: dict[str, Callable[[], object]] = {}
+        for contestant in contestants:
+            calls[f"{contestant.name} forward"] = partial(contestant.forward, scene)
+            calls[f"{contestant.name} backward"] = partial(contestant.gradients, scene)
+        timings = interleaved(calls, conditions.seconds, conditions.least_rounds)
         base = timings.get("torch backward")
         for contestant in contestants:
             forward, both = timings[f"{contestant.name} forward"], timings[f"{contestant.name} backward"]
-            memory = extra_memory_mb(partial(contestant.gradients, scene), conditions.device)
-            row = _row(part, _describe(size), contestant.name, size, forward, both)
-            yield replace(
-                row, extra_mb=memory, speed_up=None if base is None else base.cpu_min / both.cpu_min
-            )
-
-
-def _passes(scene: BenchScene, contestants: Sequence[Contestant]) -> dict[str, Callable[[], object]]:
-    calls: dict[str, Callable[[], object]] = {}
-    for contestant in contestants:
-        calls[f"{contestant.name} forward"] = partial(contestant.forward, scene)
-        calls[f"{contestant.name} backward"] = partial(contestant.gradients, scene)
-    return calls
+            yield _row(
+                part, _describe(size), contestant.name, size, both,
+                forward_cpu_ms=forward.cpu_min, first_ms=forward.first,
+                extra_mb=extra_memory_mb(partial(contestant.gradients, scene), conditions.device),
+                speed_up=None if base is None else base.cpu_min / both.cpu_min,
+            )  # fmt: skip
 
 
 def accuracy(
@@ -117,7 +142,7 @@ def accuracy(
         for contestant in contestants:
             target = targets[contestant.has_depth].to(conditions.device)
             errors = errors_of(contestant, target, references[contestant.has_depth])
-            yield _with_errors(_row("accuracy", _describe(size), contestant.name, size), errors)
+            yield _row("accuracy", _describe(size), contestant.name, size, **_columns(errors))
 
 
 def _accepts(contestant: Contestant, scene: BenchScene) -> bool:
@@ -150,10 +175,8 @@ def precision(size: SceneSize, names: Sequence[str], conditions: Conditions) -> 
         }
         timings = interleaved(calls, conditions.seconds / 4, conditions.least_rounds)
         for key, contestant in entrants.items():
-            errors = compare(*contestant.gradients(scene), truth)
-            both = timings["/".join(map(str, key))]
-            row = _with_errors(_row("precision", key[0], contestant.name, size, None, both), errors)
-            yield replace(row, error_depth=None, flips=None)
+            known = _columns(errors_of(contestant, scene, truth)) | {"error_depth": None, "flips": None}
+            yield _row("precision", key[0], contestant.name, size, timings["/".join(map(str, key))], **known)
 
 
 def _settings(knob: str, name: str, dtype: torch.dtype) -> list[tuple[str, Contestant]]:
@@ -167,7 +190,7 @@ def step(name: str, gaussians: int, size: int, conditions: Conditions) -> Iterat
     """Yields the time of every part of a training step; on the CPU."""
     calls = step_parts(name, gaussians, size, conditions.seed)
     for case, timing in interleaved(calls, conditions.seconds, conditions.least_rounds).items():
-        yield replace(_row("step", case, name, None, None, timing), gaussians=gaussians, size=size)
+        yield _row("step", case, name, None, timing, gaussians=gaussians, size=size)
 
 
 def _describe(size: SceneSize) -> str:
@@ -176,33 +199,40 @@ def _describe(size: SceneSize) -> str:
 
 
 def _row(
-    part: str,
-    case: str,
-    contestant: str,
-    size: SceneSize | None,
-    forward: Timing | None = None,
-    both: Timing | None = None,
+    part: str, case: str, contestant: str, scene: SceneSize | None, both: Timing | None = None, **known: Any
 ) -> BenchRow:
-    row = BenchRow(part, case, contestant, threads=torch.get_num_threads())
-    if size is not None:
-        row = replace(
-            row, gaussians=size.gaussians, size=size.size, footprint=size.footprint, sh_degree=size.sh_degree
-        )
-    if forward is not None:
-        row = replace(row, forward_cpu_ms=forward.cpu_min, first_ms=forward.first)
+    if scene is not None:
+        known |= asdict(scene)
     if both is not None:
-        row = replace(
-            row, cpu_ms=both.cpu_min, cpu_median_ms=both.cpu_median, wall_ms=both.wall_min, rounds=both.rounds
-        )
-    return row
+        known |= {
+            "cpu_ms": both.cpu_min, "cpu_median_ms": both.cpu_median, "wall_ms": both.wall_min, "rounds": both.rounds
+        }  # fmt: skip
+    return BenchRow(part, case, contestant, threads=torch.get_num_threads(), **known)
 
 
-def _with_errors(row: BenchRow, errors: Errors) -> BenchRow:
-    return replace(
-        row,
-        error_rgb=errors.rgb,
-        error_alpha=errors.alpha,
-        error_depth=errors.depth,
-        flips=errors.flips,
-        error_gradient=errors.worst_gradient,
+def _columns(errors: Errors) -> dict[str, Any]:
+    return {
+        "error_rgb": errors.rgb, "error_alpha": errors.alpha, "error_depth": errors.depth, "flips": errors.flips,
+        "error_gradient": errors.worst_gradient,
+    }  # fmt: skip
+
+
+def errors_of(contestant: Contestant, scene: BenchScene, reference: Reference) -> Errors:
+    """Returns the errors of a contestant; not a number where it gives one."""
+    (rgb, alpha, depth), gradients = contestant.gradients(scene)
+    colour = _distance(rgb, reference.rgb)
+    relative = {}
+    for name, wanted in reference.gradients.items():
+        difference = gradients[name].detach().cpu().double() - wanted
+        relative[name] = float(difference.norm() / wanted.norm().clamp(min=torch.finfo(torch.float64).tiny))
+    return Errors(
+        rgb=float(colour.max()),
+        alpha=float(_distance(alpha, reference.alpha).max()),
+        depth=None if depth is None else float(_distance(depth, reference.depth).max()),
+        flips=float((colour.amax(dim=2) > FLIP).double().mean()),
+        gradients=relative,
     )
+
+
+def _distance(ours: Tensor, wanted: Tensor) -> Tensor:
+    return (ours.detach().cpu().double() - wanted).abs()

@@ -1,15 +1,22 @@
-"""Tables and the CSV file of a benchmark."""
+"""Tables, the CSV file and the pictures of a benchmark."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from occfusion.bench.measure import BenchRow
+from occfusion.bench.plan import KNOBS, TILE_KNOB
+from occfusion.files.atomic import write_bytes
 from occfusion.files.table import write_table
+from occfusion.report.drawing import new_figure, png
 from occfusion.report.page import markdown_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 TITLES = {
     "speed": "Speed: forward and backward, contestants in turn",
@@ -28,6 +35,9 @@ _HEADINGS = {
     "error_rgb": "rgb", "error_alpha": "alpha", "error_depth": "depth, m", "flips": "flipped pixels",
     "error_gradient": "gradients, rel.",
 }  # fmt: skip
+AXES = ("gaussians", "size", "footprint")
+_TIME_LABEL = "forward + backward, CPU ms"
+_DEFAULT_CASES = ("alpha floor 1/255", "transmittance stop 0.0001")
 
 
 def write_csv(path: Path, rows: Iterable[BenchRow]) -> None:
@@ -71,3 +81,56 @@ def _cell(column: str, value: float | None) -> str:
     if column in _ERRORS:
         return f"{value:.1e}"
     return f"{value:.2f}" if value < 10 else f"{value:.1f}"
+
+
+def draw_scaling(path: Path, rows: Sequence[BenchRow]) -> None:
+    """Draws processor time and memory against each axis, one line a contestant."""
+    measured = [axis for axis in AXES if any(row.part == f"scaling {axis}" for row in rows)]
+    drawing = new_figure(4 * max(len(measured), 1), 6)
+    for column, axis in enumerate(measured, 1):
+        chosen = [row for row in rows if row.part == f"scaling {axis}"]
+        for below, (field, label) in enumerate((("cpu_ms", _TIME_LABEL), ("extra_mb", "extra MB"))):
+            axes = drawing.add_subplot(2, len(measured), column + below * len(measured))
+            for contestant in dict.fromkeys(row.contestant for row in chosen):
+                line = [row for row in chosen if row.contestant == contestant]
+                _plot(axes, line, axis, field, "o-", contestant)
+            _finish(axes, axis, label)
+    _save(drawing, path)
+
+
+def draw_precision(path: Path, rows: Sequence[BenchRow]) -> None:
+    """Draws time against error: one line for each knob and contestant, the defaults marked."""
+    chosen = [row for row in rows if row.part == "precision"]
+    drawing = new_figure(11, 5)
+    panels = (("error_rgb", "largest colour error"), ("error_gradient", "gradients, relative error"))
+    for number, (field, label) in enumerate(panels, 1):
+        axes = drawing.add_subplot(1, 2, number)
+        for contestant in dict.fromkeys(row.contestant for row in chosen):
+            for knob in (*KNOBS, TILE_KNOB):
+                line = [row for row in chosen if row.contestant == contestant and row.case.startswith(knob)]
+                _plot(axes, line, field, "cpu_ms", "o-", f"{contestant}, {knob}")
+        _plot(axes, [row for row in chosen if row.case in _DEFAULT_CASES], field, "cpu_ms", "k*", "defaults")
+        _finish(axes, label, _TIME_LABEL)
+    _save(drawing, path)
+
+
+def _plot(axes: Axes, rows: Sequence[BenchRow], x: str, y: str, style: str, label: str) -> None:
+    # a value of 0, or one that was not measured, has no place on a logarithmic axis
+    pairs = [(getattr(row, x), getattr(row, y)) for row in rows if getattr(row, x) and getattr(row, y)]
+    if pairs:
+        axes.plot([pair[0] for pair in pairs], [pair[1] for pair in pairs], style, label=label)
+
+
+def _finish(axes: Axes, x_label: str, y_label: str) -> None:
+    from matplotlib.ticker import NullFormatter
+
+    axes.set(xscale="log", yscale="log", xlabel=x_label, ylabel=y_label)
+    # within one decade the labels between powers of ten run into each other
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.grid(alpha=0.3, which="both")
+
+
+def _save(drawing: Figure, path: Path) -> None:
+    if drawing.axes:
+        drawing.axes[0].legend(fontsize=7)
+    write_bytes(path, png(drawing))

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from occfusion.files.atomic import write_bytes
 from occfusion.files.table import write_table
+from occfusion.report.drawing import new_figure, png
 from occfusion.report.page import markdown_table
 
 PERCEPTUAL = "perceptual term"
 RASTERISER = "rasteriser"
-COLUMNS = (
-    "stage", "size", "threads", "gaussians", "steps", "part", "forward_cpu_ms", "backward_cpu_ms", "wall_ms",
-)  # fmt: skip
 DRAWN = 0.02
 """Share of a step from which on a part has a bar of its own in the picture."""
 
@@ -90,21 +86,18 @@ class StepProfile:
         return self.total.cpu - self.share(PERCEPTUAL, RASTERISER)
 
 
-def rows_of(profiles: Sequence[StepProfile]) -> Iterator[dict[str, Any]]:
-    """Yields a row for each part of each profile, for their sum and for the step as it was measured."""
-    for profile in profiles:
-        for part in (*profile.parts, profile.total, profile.measured):
-            yield {
-                "stage": profile.stage, "size": profile.size, "threads": profile.threads,
-                "gaussians": profile.gaussians, "steps": profile.steps, "part": part.name,
-                "forward_cpu_ms": round(part.forward_cpu, 4), "backward_cpu_ms": round(part.backward_cpu, 4),
-                "wall_ms": round(part.wall, 4),
-            }  # fmt: skip
-
-
 def write_steps(path: Path, profiles: Sequence[StepProfile]) -> None:
-    """Writes the rows of `rows_of` as a CSV file."""
-    write_table(path, COLUMNS, rows_of(profiles))
+    """Writes a CSV file: a row for each part of each profile, for their sum and for the step as it was measured."""
+    rows = [
+        {
+            "stage": profile.stage, "size": profile.size, "threads": profile.threads, "gaussians": profile.gaussians,
+            "steps": profile.steps, "part": part.name, "forward_cpu_ms": round(part.forward_cpu, 4),
+            "backward_cpu_ms": round(part.backward_cpu, 4), "wall_ms": round(part.wall, 4),
+        }
+        for profile in profiles
+        for part in (*profile.parts, profile.total, profile.measured)
+    ]  # fmt: skip
+    write_table(path, list(rows[0]), rows)
 
 
 def steps_text(profiles: Sequence[StepProfile]) -> str:
@@ -129,11 +122,9 @@ def steps_text(profiles: Sequence[StepProfile]) -> str:
 
 def draw_steps(path: Path, profiles: Sequence[StepProfile]) -> None:
     """Draws each profile as a bar of its parts' processor time, the measured step as a line across its end."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from matplotlib import colormaps
 
-    figure = Figure(figsize=(11, 1.6 + 0.55 * len(profiles)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(11, 1.6 + 0.55 * len(profiles))
     axes = figure.add_subplot()
     names = [
         name
@@ -142,10 +133,9 @@ def draw_steps(path: Path, profiles: Sequence[StepProfile]) -> None:
     ]
     places = range(len(profiles))
     ends = [0.0] * len(profiles)
-    colours = _colours(len(names))
-    for name, colour in zip(names, colours, strict=True):
+    for number, name in enumerate(names):
         lengths = [profile.share(name) for profile in profiles]
-        axes.barh(places, lengths, left=ends, color=colour, label=name)
+        axes.barh(places, lengths, left=ends, color=colormaps["tab20"](number % 20), label=name)
         ends = [end + length for end, length in zip(ends, lengths, strict=True)]
     rest = [profile.total.cpu - end for profile, end in zip(profiles, ends, strict=True)]
     axes.barh(places, rest, left=ends, color="0.8", label=f"parts under {DRAWN:.0%} of a step")
@@ -157,11 +147,4 @@ def draw_steps(path: Path, profiles: Sequence[StepProfile]) -> None:
     axes.set_xlabel("CPU ms a step, forward and backward")
     axes.grid(axis="x", alpha=0.3)
     figure.legend(loc="outside lower center", ncols=3, fontsize=8)
-    figure.savefig(buffer := io.BytesIO(), format="png", dpi=110)
-    write_bytes(path, buffer.getvalue())
-
-
-def _colours(count: int) -> list[Any]:
-    from matplotlib import colormaps
-
-    return [colormaps["tab20"](k % 20) for k in range(count)]
+    write_bytes(path, png(figure))

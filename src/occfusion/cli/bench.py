@@ -14,14 +14,16 @@ from pathlib import Path
 import torch
 
 from occfusion.bench.contestants import available_backends, backend, peers
-from occfusion.bench.draw import draw_precision, draw_scaling
 from occfusion.bench.measure import BenchRow, Conditions, accuracy, precision, race, step
 from occfusion.bench.plan import FULL, PARTS, QUICK, BenchPlan
-from occfusion.bench.publish import tables, write_csv
+from occfusion.bench.publish import draw_precision, draw_scaling, tables, write_csv
 from occfusion.bench.steps import StepProfile, draw_steps, steps_text, write_steps
 from occfusion.errors import ConfigError
 from occfusion.files.atomic import make_writable, write_bytes
 from occfusion.run.environment import describe_environment
+from occfusion.splat.backends.registry import DEVICES
+
+CPU = torch.device("cpu")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             rows.append(row)
         environment = describe_environment() | {"load": _load()}
         if "step" in args.parts:
-            profiles = _profiles(args, plan, available_backends(torch.device("cpu"), args.backends)[-1])
+            profiles = _profiles(args, plan)
     finally:
         torch.set_num_threads(before)
     text = tables(rows, environment)
@@ -95,7 +97,20 @@ def _prepare(args: argparse.Namespace) -> torch.device:
         )
     device = torch.device(args.device)
     available_backends(device, args.backends)  # a name that is unknown is said before anything is written
+    if "step" in args.parts:
+        _backend_of_steps(args)
     return device
+
+
+def _backend_of_steps(args: argparse.Namespace) -> str:
+    """Returns what steps are measured with: they run on the CPU, whatever else does not."""
+    wanted = args.backends and [name for name in args.backends if DEVICES.get(name) != "cuda"]
+    if wanted == []:
+        raise ConfigError(
+            f"--backends {' '.join(args.backends)}: steps are measured on the CPU, where it does not run; add torch, "
+            "or leave step out of --parts"
+        )
+    return available_backends(CPU, wanted)[-1]
 
 
 def _measure(args: argparse.Namespace, plan: BenchPlan, device: torch.device) -> Iterator[BenchRow]:
@@ -118,10 +133,10 @@ def _measure(args: argparse.Namespace, plan: BenchPlan, device: torch.device) ->
         for axis, sizes in plan.scaling.items():
             yield from race(f"scaling {axis}", sizes, ours, conditions)
     if "step" in args.parts:
-        yield from step(names[-1], *plan.step, replace(conditions, device=torch.device("cpu")))
+        yield from step(_backend_of_steps(args), *plan.step, replace(conditions, device=CPU))
 
 
-def _profiles(args: argparse.Namespace, plan: BenchPlan, backend_name: str) -> list[StepProfile]:
+def _profiles(args: argparse.Namespace, plan: BenchPlan) -> list[StepProfile]:
     """Trains on an embedded scene, once for each size and number of threads, and returns the profiles."""
     from hydra import compose, initialize_config_dir
 
@@ -142,7 +157,7 @@ def _profiles(args: argparse.Namespace, plan: BenchPlan, backend_name: str) -> l
                 overrides = [
                     f"dataset.root={place}/data-{size}", f"dataset.scene={chosen.scene}", f"dataset.image_size={size}",
                     f"dataset.frames={chosen.frames}", "dataset.cameras=2", f"seed={args.seed}", "logger=csv",
-                    f"rasterizer={backend_name}", f"output_dir={own}", f"shared_dir={own}/shared",
+                    f"rasterizer={_backend_of_steps(args)}", f"output_dir={own}", f"shared_dir={own}/shared",
                     "trainer.enable_progress_bar=false", "trainer.accelerator=cpu",
                 ]  # fmt: skip
                 torch.set_num_threads(threads)

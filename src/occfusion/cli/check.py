@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from occfusion.data.checking.coverage import inspect_coverage
-from occfusion.data.checking.fit import draw_overlay, inspect_fit, inspect_other_cameras, inspect_registration
+from occfusion.data.checking.fit import (
+    draw_overlay,
+    inspect_coverage,
+    inspect_fit,
+    inspect_other_cameras,
+    inspect_registration,
+)
 from occfusion.data.checking.inspection import (
     Finding,
     Inspection,
@@ -33,7 +38,8 @@ from occfusion.files.atomic import write_png
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.human.coverage_picture import draw_coverage
 
-COLOURS = {"ok": "green", "note": "cyan", "doubt": "yellow", "error": "red"}
+COLOURS = {"error": "red", "doubt": "yellow", "note": "cyan", "ok": "green"}
+GRAVITY = tuple(COLOURS)
 PARTS = (
     inspect_files,
     inspect_cameras,
@@ -91,37 +97,34 @@ def _folders(data: Path) -> list[Path]:
 
 def _check(folder: Path, arguments: argparse.Namespace) -> str:
     findings, inspection = _inspect(folder, arguments)
-    console = Console()
-    table = Table(title=str(folder), title_justify="left", show_lines=True)
+    table = Table(title=escape(str(folder)), title_justify="left", show_lines=True)
     for heading in ("", "what", "found", "what to do"):
         table.add_column(heading, overflow="fold")
     for finding in findings:
         mark = Text(finding.level, style=COLOURS[finding.level])
         table.add_row(mark, *(Text(part) for part in (finding.topic, finding.text, finding.cure)))
-    console.print(table)
-    picture = None if inspection is None else draw_overlay(inspection)
-    if picture is not None and inspection is not None:
-        path = arguments.overlay or Path(f"check_{inspection.scene.name}.png")
-        write_png(path, picture)
-        console.print(
-            f"overlay (mask green, body red, joints yellow): {path}", highlight=False, soft_wrap=True
-        )
-    if inspection is not None and inspection.coverage is not None and isinstance(inspection.poser.body, Body):
-        path = (arguments.overlay or Path(f"check_{inspection.scene.name}.png")).with_suffix("")
-        path = path.with_name(f"{path.name}_directions.png")
-        write_png(path, draw_coverage(inspection.poser.body, inspection.coverage))
-        console.print(
-            f"directions (green: seen from many, yellow: from one, red: not at all): {path}",
-            highlight=False,
-            soft_wrap=True,
-        )
+    Console().print(table)
+    if inspection is not None:
+        _draw(inspection, arguments.overlay or Path(f"check_{inspection.scene.name}.png"))
     level = worst(findings)
     verdict = {
         "error": "training would not start",
         "doubt": "training would start; look at the doubts first",
     }.get(level, "ready to train")
-    console.print(f"{folder}: {verdict}", highlight=False, soft_wrap=True)
+    print(f"{folder}: {verdict}")
     return level
+
+
+def _draw(inspection: Inspection, path: Path) -> None:
+    """Writes what there is to draw of a sequence: the overlay, and beside it from where its body is seen."""
+    picture = draw_overlay(inspection)
+    if picture is not None:
+        write_png(path, picture)
+        print(f"overlay (mask green, body red, joints yellow): {path}")
+    if inspection.coverage is not None and isinstance(inspection.poser.body, Body):
+        path = path.with_name(f"{path.stem}_directions.png")
+        write_png(path, draw_coverage(inspection.poser.body, inspection.coverage))
+        print(f"directions (green: seen from many, yellow: from one, red: not at all): {path}")
 
 
 def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding], Inspection | None]:
@@ -130,14 +133,9 @@ def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding]
         poser, body = _poser(folder, arguments.body)
         findings.append(body)
         layout, scene = open_folder(
-            folder,
-            poser,
-            arguments.masks,
-            arguments.scene,
-            arguments.person,
-            numbered=arguments.numbered_masks,
-            layout=arguments.layout,
-        )
+            folder, poser, arguments.masks, arguments.scene, arguments.person,
+            numbered=arguments.numbered_masks, layout=arguments.layout,
+        )  # fmt: skip
     except OccfusionError as error:
         return [*findings, Finding("error", "folder", str(error))], None
     text = f"{layout}: {scene.num_frames} frames, {len(scene.cameras)} cameras"
@@ -152,7 +150,8 @@ def _inspect(folder: Path, arguments: argparse.Namespace) -> tuple[list[Finding]
     inspection = Inspection(scene, poser, arguments.camera)
     for part in PARTS:
         findings += part(inspection)
-    return _by_gravity(findings), inspection
+    # the gravest first; otherwise in the order in which they were made
+    return sorted(findings, key=lambda finding: GRAVITY.index(finding.level)), inspection
 
 
 def _poser(folder: Path, path: Path | None) -> tuple[Poser, Finding]:
@@ -170,9 +169,3 @@ def _against_vertices(scene: Scene, poser: Poser) -> list[Finding]:
     if isinstance(scene, ZjuScene) and not poser.stands_in:
         compare_with_stored(scene, poser.body)
     return []
-
-
-def _by_gravity(findings: Sequence[Finding]) -> list[Finding]:
-    """Returns the findings with errors first; otherwise in the order in which they were made."""
-    order = {"error": 0, "doubt": 1, "note": 2, "ok": 3}
-    return sorted(findings, key=lambda finding: order[finding.level])

@@ -13,11 +13,10 @@ from rich.console import Console
 from rich.progress import track
 
 from occfusion.errors import ConfigError
-from occfusion.export.splat_glb import write_splat_glb
-from occfusion.export.splats import canonical_table, posed_table, viewers_widening
+from occfusion.export.splats import canonical_table, posed_table, viewers_widening, write_splat_glb
 from occfusion.export.web import write_page
-from occfusion.files import compressed_ply, spz
-from occfusion.files.numbered import folder_beside, numbered, put_in_place
+from occfusion.files.atomic import folder_beside, numbered, put_in_place
+from occfusion.files.packed_splats import COMPRESSED_SUFFIX, write_compressed_ply, write_spz
 from occfusion.files.ply import SplatTable, write_ply
 from occfusion.human.rendering import Renderer
 from occfusion.motion import EMBEDDED_CLIPS, Performance, perform
@@ -28,8 +27,8 @@ from occfusion.show.views import TRAIN
 
 WRITERS: dict[str, Callable[[Path, SplatTable], None]] = {
     ".ply": write_ply,
-    compressed_ply.SUFFIX: compressed_ply.write_compressed_ply,
-    ".spz": spz.write_spz,
+    COMPRESSED_SUFFIX: write_compressed_ply,
+    ".spz": write_spz,
     ".glb": write_splat_glb,
 }
 """Files of Gaussians by the ends of their names; the longest that fits counts."""
@@ -95,7 +94,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_used(arguments: argparse.Namespace) -> None:
-    """Refuses options that the format would leave without effect."""
+    """Refuses rates that are none, and options that the format would leave without effect."""
+    for name in ("fps", "motion_fps"):
+        rate = getattr(arguments, name)
+        if rate is not None and not 0 < rate <= 100_000:
+            raise ConfigError(f"--{name.replace('_', '-')} {rate:g}: must be positive")
     output, suffix = arguments.output, arguments.output.suffix.lower()
     is_splats = (suffix in WRITERS or not suffix) and not arguments.surface
     is_posed = arguments.pose is not None or not suffix
@@ -105,6 +108,8 @@ def _check_used(arguments: argparse.Namespace) -> None:
         raise ConfigError(f"--light {arguments.light}: {output} is in even light; leave it out")
     if arguments.for_viewers is not None and not is_splats:
         raise ConfigError(f"--for-viewers is for files of Gaussians; {output} is none")
+    if arguments.surface and suffix == PAGE:
+        raise ConfigError(f"--surface: {output} plays Gaussians; leave it out, or name a .glb")
     moves = suffix == PAGE or (suffix == ".glb" and arguments.surface)
     asked = {
         "--motion": arguments.motion,

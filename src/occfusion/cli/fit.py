@@ -6,8 +6,6 @@ import argparse
 import time
 from pathlib import Path
 
-from rich.console import Console
-
 from occfusion.cli import import_clip
 from occfusion.cli.import_clip import NOT_TRUSTED, Progress, choice_of, fit_sources, given_of
 from occfusion.errors import ConfigError
@@ -46,24 +44,17 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(
             f"{output / POSES}: is there already and not of a fit; name another place (--output)."
         )
-    if output == folder and (arguments.every, arguments.frames, arguments.start, arguments.stop) != (
-        None,
-        None,
-        0,
-        None,
-    ):
+    chosen = (arguments.every, arguments.frames, arguments.start, arguments.stop)
+    if output == folder and chosen != (None, None, 0, None):
         raise ConfigError(
             "fit: poses in the folder are one for each picture; for some of them, give --output."
         )
-    console = Console()
     body = embedded_body() if arguments.body is None else load_body(arguments.body)
-    with Progress(console) as progress:
+    with Progress() as progress:
         sources = gather(clip, choice_of(arguments), given, trimmed=False, advance=progress)
         sources, fit = fit_sources(body, sources, arguments, progress)
     facts = {"clip": clip.name, "seconds": round(time.perf_counter() - begun, 1)}
     write_bodies(output, sources, fit, body, embedded=arguments.body is None, facts=facts)
-    console.print(said(output, "fit.txt"), highlight=False, soft_wrap=True, markup=False)
-    console.print(
-        f"written            {output / POSES}, {output / 'overlay.mp4'}", highlight=False, soft_wrap=True
-    )
+    print(said(output, "fit.txt"))
+    print(f"written            {output / POSES}, {output / 'overlay.mp4'}")
     return 0 if fit.quality.trusted else NOT_TRUSTED

@@ -18,13 +18,7 @@ from occfusion.footage.clip import SIDE
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.importing.adopt import adopt
 from occfusion.importing.bodies import TOOLS
-from occfusion.importing.folder import (
-    PERSON,
-    require_free,
-    said,
-    training_command,
-    write_folder,
-)
+from occfusion.importing.folder import PERSON, require_free, said, training_command, write_folder
 from occfusion.importing.hiding import told_apart
 from occfusion.importing.mhr import is_mhr
 from occfusion.importing.sources import Choice, Given, Sources, gather
@@ -130,8 +124,8 @@ def run(arguments: argparse.Namespace) -> int:
     require_free(arguments.output)
     if arguments.given is not None and len(arguments.given) > 2:
         raise ConfigError("--from takes a tool's name and its file, or the file alone.")
-    console, begun = Console(), time.perf_counter()
-    with Progress(console) as progress:
+    begun = time.perf_counter()
+    with Progress() as progress:
         given, file = given_of(arguments), None if arguments.given is None else Path(arguments.given[-1])
         if file is not None and (arguments.given[0] == KEY_POINTS_OF or is_mhr(file)):
             given, file = replace(given, keypoints=file), None
@@ -145,7 +139,7 @@ def run(arguments: argparse.Namespace) -> int:
                 file, tool, sources, body,
                 embedded=arguments.body is None, person=arguments.from_person,
             )  # fmt: skip
-    return finish(console, arguments, sources, fit, body, begun)
+    return finish(arguments, sources, fit, body, begun)
 
 
 def fit_sources(
@@ -166,9 +160,7 @@ def fit_sources(
     return (sources, fit) if arguments.no_occluder else told_apart(body, sources, fit, fitted)
 
 
-def finish(
-    console: Console, arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body, begun: float
-) -> int:
+def finish(arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body, begun: float) -> int:
     """Writes the folder, prints the report, checks the folder, and prints the command that trains on it."""
     output = arguments.output
     facts = {
@@ -178,12 +170,8 @@ def finish(
         "seconds": round(time.perf_counter() - begun, 1),
     }
     write_folder(output, sources, fit, body, embedded=arguments.body is None, facts=facts)
-    console.print(said(output), highlight=False, soft_wrap=True, markup=False)
-    console.print(
-        f"overlay            {output / 'overlay.mp4'}, {output / 'overlay.png'}",
-        highlight=False,
-        soft_wrap=True,
-    )
+    print(said(output))
+    print(f"overlay            {output / 'overlay.mp4'}, {output / 'overlay.png'}")
     words = [str(output), "--layout", "video", "--overlay", str(output / "check.png")]
     parser = argparse.ArgumentParser()
     check.add_arguments(parser)
@@ -191,35 +179,25 @@ def finish(
     words += [] if sources.hidden is None else ["--person", str(PERSON)]
     failed = check.run(parser.parse_args(words))
     if not fit.quality.trusted:
-        console.print(
+        print(
             "The fit is NOT trusted: the body does not lie on the person. Look at the overlay; the body of another "
-            "tool (--from), the true focal length (--focal) or a part of the clip (--start, --stop) may help.",
-            highlight=False, soft_wrap=True,
-        )  # fmt: skip
+            "tool (--from), the true focal length (--focal) or a part of the clip (--start, --stop) may help."
+        )
         return NOT_TRUSTED
     if failed:
         return failed
     command = training_command(
-        output,
-        len(sources.shot),
-        arguments.body,
-        covered_share(fit.quality),
-        numbered=sources.hidden is not None,
-    )
-    console.print(
-        f"\nTrain on it; the last fifth of the frames is held out:\n\n{command}",
-        highlight=False,
-        soft_wrap=True,
-        markup=False,
-    )
+        output, len(sources.shot), arguments.body, covered_share(fit.quality), numbered=sources.hidden is not None
+    )  # fmt: skip
+    print(f"\nTrain on it; the last fifth of the frames is held out:\n\n{command}")
     return 0
 
 
 class Progress:
     """One line that says how far an import is; nothing where the output is no terminal."""
 
-    def __init__(self, console: Console) -> None:
-        self._status = console.status("reading")
+    def __init__(self) -> None:
+        self._status = Console().status("reading")
         self._counts: dict[str, int] = {}
 
     def __enter__(self) -> Progress:

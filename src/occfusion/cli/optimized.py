@@ -11,13 +11,13 @@ from occfusion.errors import ConfigError
 from occfusion.fields import check_choice
 from occfusion.files.run_folder import FIGURES, REGIONS, STAGES, RunFolder
 
-KNOWN = {
-    "regions": {region: dict.fromkeys(FIGURES) for region in REGIONS},
-    "train_seconds": dict.fromkeys((*STAGES, "total")),
-    "gaussians": None,
-    "peak_memory_mb": None,
-}
-"""The figures of `metrics.json`, as it nests them."""
+KNOWN = (
+    *(f"regions.{region}.{figure}" for region in REGIONS for figure in FIGURES),
+    *(f"train_seconds.{stage}" for stage in (*STAGES, "total")),
+    "gaussians",
+    "peak_memory_mb",
+)
+"""The figures of `metrics.json`, by their dotted names."""
 PLAIN_SWEEPER = "BasicSweeper"
 """Hydra's own, which asks for nothing."""
 
@@ -28,7 +28,7 @@ def check_optimized_metric(name: str) -> None:
     Raises:
         ConfigError: with what there is.
     """
-    check_choice("optimized_metric", name, tuple(_names(KNOWN)))
+    check_choice("optimized_metric", name, KNOWN)
 
 
 def read_metric(folder: Path, name: str) -> float | None:
@@ -64,10 +64,3 @@ def answer(job: JobRecord, name: str, *, is_asked: bool) -> float | None:
 def is_asked(sweeper: Mapping[str, Any]) -> bool:
     """Returns whether a sweeper goes by what jobs return."""
     return not str(sweeper.get("_target_", PLAIN_SWEEPER)).endswith(PLAIN_SWEEPER)
-
-
-def _names(tree: Mapping[str, Any], before: str = "") -> list[str]:
-    found = []
-    for key, value in tree.items():
-        found += _names(value, f"{before}{key}.") if value else [before + key]
-    return found

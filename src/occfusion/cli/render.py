@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 
 from occfusion.errors import ConfigError, DataError
@@ -25,11 +26,11 @@ from occfusion.run.showing import (
     make_showing,
     run_names,
 )
-from occfusion.show.drawing import LAYERS, Layers
+from occfusion.show.drawing import LAYERS
 from occfusion.show.film import TRANSPARENT, Picture, parse_background, picture_of, side_by_side
 from occfusion.show.views import MOST_PIXELS
 
-LEAST_SIZE, MOST_SIZE = 8, MOST_PIXELS
+LEAST_SIZE = 8
 _DEPTHS = 0.6
 """Metres before and behind the person's middle that the greys of a film's depth stand for."""
 
@@ -110,12 +111,11 @@ def run(arguments: argparse.Namespace) -> int:
         )
     fps = arguments.fps or next((s.fps for s in showings if s.fps is not None), USUAL_FPS)
     films = _films(arguments, words, loaded, showings, count, size)
-    console = Console(stderr=True)
-    told = track(films, f"{arguments.path}", total=count, console=console)
+    told = track(films, escape(arguments.path), total=count, console=Console(stderr=True))
     if arguments.output.suffix == "" and len(arguments.layers) > 1:
         write_folder(arguments.output, told, arguments.layers)
     else:
-        write_frames(arguments.output, (_beside(each) for each in told), fps)
+        write_frames(arguments.output, (side_by_side(each, []) for each in told), fps)
     is_film = arguments.output.suffix.lower() not in ("", STILL)
     pace = f", {fps:g} a second" if is_film and count > 1 else ""
     print(f"{arguments.output}: {count} picture{'' if count == 1 else 's'}{pace}")
@@ -141,17 +141,17 @@ def _check(arguments: argparse.Namespace) -> tuple[int, int] | None:
         sides = []
     if len(sides) == 1:
         sides *= 2
-    if len(sides) != 2 or not all(LEAST_SIZE <= side <= MOST_SIZE for side in sides):
+    if len(sides) != 2 or not all(LEAST_SIZE <= side <= MOST_PIXELS for side in sides):
         raise ConfigError(
-            f"--size {arguments.size}: one side of a square or WIDTHxHEIGHT, {LEAST_SIZE} to {MOST_SIZE} pixels each, "
-            "such as 512 or 640x360"
+            f"--size {arguments.size}: one side of a square or WIDTHxHEIGHT, {LEAST_SIZE} to {MOST_PIXELS} pixels "
+            "each, such as 512 or 640x360"
         )
     return sides[0], sides[1]
 
 
 def _check_used(arguments: argparse.Namespace) -> None:
     """Refuses options that the path or the output would leave without effect."""
-    path, moves = arguments.path, ("sequence" if arguments.path in MOVING_PATHS else None)
+    path = arguments.path
     if path == "canonical" and arguments.motion is not None:
         raise ConfigError(
             f"--path canonical shows the rest pose, which has no motion; leave out --motion {arguments.motion}, or "
@@ -160,8 +160,8 @@ def _check_used(arguments: argparse.Namespace) -> None:
     if arguments.moment is not None and path != "bullet-time":
         raise ConfigError(f"--moment is for --path bullet-time; time does not stand on --path {path}")
     cut = arguments.start != 0.0 or arguments.seconds is not None or arguments.motion_fps is not None
-    is_file = path not in PATHS
-    if cut and arguments.motion is None and moves is None and not is_file:
+    moves = arguments.motion is not None or path in MOVING_PATHS or path not in PATHS
+    if cut and not moves:
         raise ConfigError(
             "--start, --seconds and --motion-fps choose a part of a motion, and nothing moves; add --motion sequence "
             "or another"
@@ -190,9 +190,7 @@ def _films(
         names = ["input", *(names or [loaded[0].stage])]
     backgrounds = {}
     for number in range(count):
-        drawn: list[Layers] = []
-        for showing in showings:
-            drawn.append(showing.painter.draw(showing.shots[number], normals="normals" in layers))
+        drawn = [each.painter.draw(each.shots[number], normals="normals" in layers) for each in showings]
         shown = next(inputs) if inputs is not None else None
         columns: list[Picture] = []
         for layer in layers:
@@ -220,7 +218,3 @@ def _range_of(showing: Showing, number: int) -> tuple[float, float]:
     place = performance.pose(shot.row or 0).transl
     depth = float(shot.camera.viewmat[2, :3] @ place + shot.camera.viewmat[2, 3])
     return max(depth - _DEPTHS, 0.01), depth + _DEPTHS
-
-
-def _beside(pictures: Sequence[Picture]) -> Picture:
-    return side_by_side(pictures, [])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -48,7 +49,10 @@ def run(args: argparse.Namespace) -> int:
         )
     make_writable(args.output)  # a sweep of half an hour is not to end at this
     if args.optimisation:
-        return _study(args)
+        tell = partial(print, file=sys.stderr, flush=True)
+        study(args.output, vars(RateSettings()), describe_environment(), quick=args.quick, tell=tell)
+        print(f"written to {args.output}")
+        return 0
     known = [*motion_axes(), *picture_axes(torch.device(args.device))]
     axes = [axis for axis in known if args.axes is None or any(word in axis.name for word in args.axes)]
     if not axes:
@@ -58,28 +62,11 @@ def run(args: argparse.Namespace) -> int:
         started = time.monotonic()
         found = sweep(axis, quick=args.quick)
         rows += found
-        seconds = time.monotonic() - started
-        print(
-            f"{axis.name}: {summary(found)} ({seconds:.1f} s)".replace(" on 1 axes", ""),
-            file=sys.stderr,
-            flush=True,
-        )
+        told = summary(found).replace(" on 1 axes", "")
+        print(f"{axis.name}: {told} ({time.monotonic() - started:.1f} s)", file=sys.stderr, flush=True)
     write_sweep(args.output, rows, describe_environment())
-    for row in rows:
-        if row.verdict != "holds":
-            print(
-                f"{row.axis} at {row.place:g}, {row.method}: {row.verdict} ({row.error}, {row.gradient_error})"
-            )
+    bad = [row for row in rows if row.verdict != "holds"]
+    for row in bad:
+        print(f"{row.axis} at {row.place:g}, {row.method}: {row.verdict} ({row.error}, {row.gradient_error})")
     print(f"{summary(rows)}; written to {args.output}")
-    return int(any(row.verdict != "holds" for row in rows))
-
-
-def _study(args: argparse.Namespace) -> int:
-    rates = vars(RateSettings())
-
-    def tell(words: str) -> None:
-        print(words, file=sys.stderr, flush=True)
-
-    study(args.output, rates, describe_environment(), quick=args.quick, tell=tell)
-    print(f"written to {args.output}")
-    return 0
+    return int(bool(bad))

@@ -127,28 +127,22 @@ def summarise_scenes(runs: Sequence[RunRecord]) -> list[Summary]:
     by_seed = summarise_seeds(runs)
     names = methods(runs)
     result = []
-    for key in dict.fromkeys((s.dataset, s.method, s.perceptual_metric) for s in by_seed):
-        members = [s for s in by_seed if (s.dataset, s.method, s.perceptual_metric) == key]
-        seeds = len({r.seed for r, n in zip(runs, names, strict=True) if (r.dataset, n) == key[:2]})
-        common = (*key, seeds, len(members))
-        means = [{name: value.mean for name, value in s.values.items()} for s in members]
-        within = _pooled([s.values for s in members])
-        result.append(_summary("scenes", common, _statistics(means), within, members[0].paper))
-        those = [
-            r
-            for r, n in zip(runs, names, strict=True)
-            if (r.dataset, n, r.metrics["perceptual_metric"]) == key
+    for dataset, method, name in dict.fromkeys((s.dataset, s.method, s.perceptual_metric) for s in by_seed):
+        members = [
+            s for s in by_seed if (s.dataset, s.method, s.perceptual_metric) == (dataset, method, name)
         ]
-        result.append(_summary("images", common, _over_images(those), {}, members[0].paper))
+        own = [r for r, n in zip(runs, names, strict=True) if (r.dataset, n) == (dataset, method)]
+        means = [{key: value.mean for key, value in s.values.items()} for s in members]
+        over_images = _over_images([r for r in own if r.metrics["perceptual_metric"] == name])
+        for level, values, within in (
+            ("scenes", _statistics(means), _pooled([s.values for s in members])),
+            ("images", over_images, {}),
+        ):
+            result.append(
+                Summary(level, dataset, "", method, name, len({r.seed for r in own}), len(members), values, within,
+                        members[0].paper)
+            )  # fmt: skip
     return sorted(result, key=lambda s: (s.level != "scenes", s.dataset, variant_rank(s.method)))
-
-
-def _summary(
-    level: str, common: tuple[str, str, str | None, int, int], values: dict[str, Statistic],
-    within: dict[str, float], paper: dict[str, float],
-) -> Summary:  # fmt: skip
-    dataset, method, name, seeds, scenes = common
-    return Summary(level, dataset, "", method, name, seeds, scenes, values, within, paper)
 
 
 def _statistics(rows: Sequence[Mapping[str, float | None]]) -> dict[str, Statistic]:

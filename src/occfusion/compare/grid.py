@@ -112,12 +112,8 @@ def _parts(path: Path) -> dict[str, dict[str, Image]]:
         for view in views:
             cut = {}
             for part, (x, y, width, height) in view["parts"].items():
-                if (
-                    min(x, y) < 0
-                    or min(width, height) < 1
-                    or y + height > len(picture)
-                    or x + width > picture.shape[1]
-                ):
+                is_inside = min(x, y) >= 0 and y + height <= len(picture) and x + width <= picture.shape[1]
+                if not is_inside or min(width, height) < 1:
                     raise ValueError(f"part {part} of view {view['name']} lies outside the picture")
                 cut[part] = picture[y : y + height, x : x + width]
             if not {"input", "rendering"} <= cut.keys():

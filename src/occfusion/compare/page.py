@@ -70,9 +70,8 @@ def left_out(runs: Sequence[RunRecord]) -> list[list[str]]:
     for run, name in zip(runs, names, strict=True):
         for decision in run.decisions:
             if not decision["used"]:
-                who.setdefault((str(decision["part"]), str(decision["reason"])), {})[
-                    f"{run.scene} {name}"
-                ] = None
+                told = (str(decision["part"]), str(decision["reason"]))
+                who.setdefault(told, {})[f"{run.scene} {name}"] = None
     return [[part, reason, ", ".join(members)] for (part, reason), members in who.items()]
 
 

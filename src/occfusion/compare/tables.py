@@ -6,14 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from occfusion.compare.figures import (
-    Statistic,
-    Summary,
-    quantities,
-    summarise_scenes,
-    summarise_seeds,
-    targets,
-)
+from occfusion.compare.figures import Summary, quantities, summarise_scenes, summarise_seeds, targets
 from occfusion.compare.reading import Fault, RunRecord
 from occfusion.files.atomic import write_bytes
 from occfusion.files.table import write_table
@@ -107,11 +100,7 @@ def write_summary_csv(path: Path, runs: Sequence[RunRecord]) -> None:
             "scenes": s.scenes, "perceptual_metric": s.perceptual_metric,
         }  # fmt: skip
         for name, value in s.values.items():
-            row |= {
-                f"{name}.mean": value.mean,
-                f"{name}.deviation": value.deviation,
-                f"{name}.count": value.count,
-            }
+            row |= {f"{name}.{key}": known for key, known in vars(value).items()}
             row[f"{name}.seed_deviation"] = s.seed_deviation.get(name)
         row |= {f"paper.{key}": s.paper.get(key) for key in PAPER_COLUMNS}
         rows.append(row)
@@ -123,16 +112,11 @@ def latex_table(grid: Grid, caption: str) -> str:
     header, rows = grid
     ours = sum(not title.startswith("paper ") for title in header)
     columns = "ll" + "r" * (ours - 2) + ("||" + "r" * (len(header) - ours) if len(header) > ours else "")
-    lines = [
-        r"\begin{table}",
-        r"\centering",
-        rf"\caption{{{_tex(caption)}}}",
-        rf"\begin{{tabular}}{{{columns}}}",
-        r"\hline",
-    ]
-    lines += [" & ".join(_tex(cell) for cell in header) + r" \\", r"\hline"]
-    lines += [" & ".join(_tex(cell) for cell in row) + r" \\" for row in rows]
-    return "\n".join([*lines, r"\hline", r"\end{tabular}", r"\end{table}", ""])
+    titles, *lines = (" & ".join(_tex(cell) for cell in line) + r" \\" for line in (header, *rows))
+    return "\n".join([
+        r"\begin{table}", r"\centering", rf"\caption{{{_tex(caption)}}}", rf"\begin{{tabular}}{{{columns}}}", r"\hline",
+        titles, r"\hline", *lines, r"\hline", r"\end{tabular}", r"\end{table}", "",
+    ])  # fmt: skip
 
 
 def write_latex(path: Path, runs: Sequence[RunRecord], faults: Sequence[Fault]) -> None:
@@ -148,7 +132,7 @@ def _headings(names: Sequence[str]) -> list[str]:
 
 
 def _cell(summary: Summary, name: str, decimals: int, scale: float = 1.0) -> str:
-    value: Statistic | None = summary.values.get(name)
+    value = summary.values.get(name)
     if value is None:
         return "-"
     text = f"{value.mean * scale:.{decimals}f}"
@@ -163,12 +147,8 @@ def _number(value: float | None, decimals: int) -> str:
 
 
 def _tex(text: str) -> str:
-    special = {
-        "\\": r"\textbackslash{}",
-        "±": r"$\pm$",
-        "`": "'",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-    }
-    special |= {sign: "\\" + sign for sign in "&%$#_{}"}
-    return "".join(special.get(sign, sign) for sign in text)
+    special: dict[str, str | int | None] = {
+        "\\": r"\textbackslash{}", "±": r"$\pm$", "`": "'", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+        **{sign: "\\" + sign for sign in "&%$#_{}"},
+    }  # fmt: skip
+    return text.translate(str.maketrans(special))

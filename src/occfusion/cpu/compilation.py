@@ -66,6 +66,11 @@ def step(function: Callable[..., Any]) -> Callable[..., Any]:
     return helper
 
 
+def array_of(tensor: Any) -> Any:
+    """Returns the numbers of a tensor as kernels take them; its memory is shared where it lies in one piece."""
+    return tensor.detach().contiguous().numpy()
+
+
 @lru_cache(maxsize=4)
 def _pool(workers: int, process: int) -> ThreadPoolExecutor:
     """Returns the threads; `process` keeps a forked child from waiting for its parent's."""

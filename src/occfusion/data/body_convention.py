@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from occfusion.data.checking import checks
+from occfusion.data.folder_contents import need
 from occfusion.data.scene import Array, BodyParameters
 from occfusion.errors import DataError
 
@@ -98,9 +99,7 @@ def read_body(content: Any, pelvis: Callable[[Array], Array], where: str) -> Bod
     if not isinstance(content, Mapping):
         raise DataError(f"{where}: holds a {type(content).__name__}, not a dict.")
     for key in ("poses", *_KEYS, "shapes"):
-        if key not in content:
-            known = ", ".join(map(str, content))[:200]
-            raise DataError(f"{where}: key {key!r} is missing; it has {known}.")
+        need(content, key, where)
     values = {key: checks.numbers(content[key], size, f"{where}, {key}") for key, size in _KEYS.items()}
     betas = checks.shape_numbers(content["shapes"], f"{where}, shapes")
     count = checks.count_of(content["poses"])

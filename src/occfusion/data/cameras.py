@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from occfusion.data.body_convention import carried
 from occfusion.data.checking import checks
+from occfusion.data.folder_contents import need
 from occfusion.data.scene import Array, BodyParameters, Calibration
 from occfusion.data.silhouette import Hidden, Silhouette
 from occfusion.errors import DataError
@@ -156,6 +157,36 @@ class FixedCamera:
         self.calibration = Calibration(
             name, self._lenses[0][0], first[:3, :3], first[:3, 3], self._lenses[0][1]
         )
+
+    @classmethod
+    def of_rows(
+        cls,
+        name: str,
+        rows: Sequence[Mapping[str, Any]],
+        where: Sequence[str],
+        keys: tuple[str, str],
+        distortion: str | None = None,
+        *,
+        may_zoom: bool = False,
+    ) -> FixedCamera:
+        """Returns the camera of a table, whose principal points count as OpenCV does.
+
+        Args:
+            name: what messages call the camera.
+            rows: of each frame.
+            where: what messages call each frame.
+            keys: of K and of the extrinsics in a row.
+            distortion: key of the lens distortion, which not every row needs to have.
+            may_zoom: K and distortion may change from frame to frame.
+
+        Raises:
+            DataError: as the class; or a key is missing.
+        """
+        intrinsics, extrinsics = (
+            [need(row, key, at) for row, at in zip(rows, where, strict=True)] for key in keys
+        )
+        bent = [row.get(distortion, np.zeros(5)) for row in rows] if distortion else None
+        return cls(name, intrinsics, extrinsics, bent, where, OPENCV_CENTRE, may_zoom=may_zoom)
 
     def at(self, frame: int) -> Calibration:
         """Returns the camera with the K and the distortion of a frame."""

@@ -19,43 +19,29 @@ from occfusion.files.jsonfile import load_json
 
 _PROGRAM = "of tijiang13/InstantAvatar"
 
-
-@dataclass(frozen=True)
-class UnreadForm:
-    """A form that others have to convert first.
-
-    Attributes:
-        marks: names that a folder has, all of them.
-        what: the form in words, and why it is not read.
-        cure: what makes a form of it that is read.
-    """
-
-    marks: tuple[str, ...]
-    what: str
-    cure: str
-
-
-UNREAD = (
-    UnreadForm(
-        ("images", "segmentations", "sparse"),
-        "NeuMan's own form (apple/ml-neuman): COLMAP's cameras in sparse/, 255 = background in segmentations/, "
-        "and poses that alignments.npy scales anew in each picture",
-        f"scripts/custom/process-sequence.sh {_PROGRAM} makes cameras.npz, masks/ and poses of its images/",
-    ),
-    UnreadForm(
-        ("camera.pkl", "reconstructed_poses.hdf5"),
-        "PeopleSnapshot as released: a video, and HDF5 files of masks and poses",
-        f"scripts/peoplesnapshot/preprocess_PeopleSnapshot.py {_PROGRAM} makes cameras.npz, images/, masks/ "
-        "and poses.npz",
-    ),
-)
+_UNREAD = {
+    (
+        "images",
+        "segmentations",
+        "sparse",
+    ): "NeuMan's own form (apple/ml-neuman): COLMAP's cameras in sparse/, 255 = "
+    "background in segmentations/, and poses that alignments.npy scales anew in each picture. It is not read; "
+    f"scripts/custom/process-sequence.sh {_PROGRAM} makes cameras.npz, masks/ and poses of its images/",
+    (
+        "camera.pkl",
+        "reconstructed_poses.hdf5",
+    ): "PeopleSnapshot as released: a video, and HDF5 files of masks and "
+    f"poses. It is not read; scripts/peoplesnapshot/preprocess_PeopleSnapshot.py {_PROGRAM} makes cameras.npz, "
+    "images/, masks/ and poses.npz",
+}
+"""Forms that others have to convert first, by the names that a folder of each has, all of them."""
 
 
 def why_unread(folder: Path) -> str | None:
     """Returns which form that is not read a folder has, and what to do; None where it has none of them."""
-    for form in UNREAD:
-        if all((folder / mark).exists() for mark in form.marks):
-            return f"is of {form.what}. It is not read; {form.cure}, which dataset=video reads."
+    for marks, words in _UNREAD.items():
+        if all((folder / mark).exists() for mark in marks):
+            return f"is of {words}, which dataset=video reads."
     return None
 
 
@@ -151,9 +137,11 @@ def find_layout(folder: Path, among: tuple[str, ...] | None = None, asked: str =
         raise DataError(f"{folder}: {unread or nearest}")
     found = _first(folder, fitting) if asked == AUTO else asked
     if found not in names:
+        too = next((name for name in fitting if name in names), None)
+        also = "" if too is None else f" It has the layout {too!r} too: dataset.layout={too} reads that."
         raise DataError(
             f"{folder}: is of the layout {found!r}, which dataset={DATASETS[found]} reads; this data set reads "
-            f"{', '.join(names)}.{_also(folder, [name for name in fitting if name in names])}"
+            f"{', '.join(names)}.{also}"
         )
     if lacking := names[found].lacks(folder):
         raise DataError(_unlike(folder, names[found], lacking, list(names.values())))
@@ -214,11 +202,6 @@ def _from_ocmotion(folder: Path) -> bool:
         return False
     row = next(iter(rows.values()), None) if isinstance(rows, Mapping) else None
     return isinstance(row, Mapping) and "trans" in row
-
-
-def _also(folder: Path, readable: list[str]) -> str:
-    name = readable[0] if readable else None
-    return "" if name is None else f" It has the layout {name!r} too: dataset.layout={name} reads that."
 
 
 def _unlike(folder: Path, layout: Layout, lacking: list[str], candidates: list[Layout]) -> str:

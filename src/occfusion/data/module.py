@@ -20,7 +20,7 @@ from occfusion.data.occluders import write_occlusion
 from occfusion.data.occlusion import OcclusionSettings
 from occfusion.data.posing import Poser, RestBody
 from occfusion.data.prepare import MAX_SIZE, MIN_SIZE, Prepared, Selection, prepare
-from occfusion.data.sampling import StepSampler, StepStream, ViewStream, prefetched, spread
+from occfusion.data.sampling import StepSampler, StepStream, prefetched, spread
 from occfusion.data.scene import Scene, Taken
 from occfusion.data.scene_registration import SceneRegistration, register_scene
 from occfusion.data.views import Views, frame_to
@@ -30,6 +30,9 @@ from occfusion.types import Camera, Frame, Pose
 __all__ = ["HumanDataModule", "RestBody"]
 
 _log = logging.getLogger(__name__)
+
+CACHE_BYTES = 200_000_000
+"""Memory that decoded training frames may take."""
 
 CLEAR = 0.85
 """Estimated visible share from which a person counts as not occluded.
@@ -51,7 +54,6 @@ class HumanDataModule(L.LightningDataModule):
         image_size: int | None,
         occlusion: str | Mapping[str, Any] | OcclusionSettings | None,
         seed: int,
-        cache_megabytes: float,
     ) -> None:
         super().__init__()
         whole = isinstance(image_size, int) and not isinstance(image_size, bool)
@@ -63,7 +65,6 @@ class HumanDataModule(L.LightningDataModule):
         self.poser = Poser(body)
         self.findings: list[str] = []
         self._selection = selection
-        self._cache_bytes = int(cache_megabytes * 1e6)
         self._opened: tuple[Prepared, Views, StepSampler] | None = None
         self._shares: list[float] | None = None
         self.registration: SceneRegistration | None = None
@@ -121,7 +122,7 @@ class HumanDataModule(L.LightningDataModule):
             prepared = prepare(scene, self._selection, self.occlusion)
             if self.image_size is None:
                 self.image_size = min(max(self.own_image_size(scene), MIN_SIZE), MAX_SIZE)
-            views = Views(prepared, self.image_size, self._cache_bytes)
+            views = Views(prepared, self.image_size, CACHE_BYTES)
             self._opened = prepared, views, StepSampler(len(prepared.train), self.seed)
         return self._opened
 
@@ -235,9 +236,10 @@ class HumanDataModule(L.LightningDataModule):
 
         return DataLoader(StepStream(read, sampler, first_step, share), batch_size=None)
 
-    def test_dataloader(self) -> DataLoader[Frame]:
-        """Returns a loader over the held-out views that show a person, one at a time."""
-        return DataLoader(ViewStream(self.test_frame, self.test_views), batch_size=None)
+    def test_dataloader(self) -> Iterator[Frame]:
+        """Returns the held-out views that show a person, one at a time."""
+        frames = prefetched(lambda view: self.test_frame(*view), self.test_views)
+        return (frame for frame in frames if bool(frame.visible_mask.any()))
 
     def spread_test_frames(self, wanted: int) -> list[Frame]:
         """Returns evenly spread held-out views; they go round the cameras and through time."""

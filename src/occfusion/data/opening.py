@@ -7,7 +7,7 @@ from pathlib import Path
 from occfusion.data.layouts import AUTO, find_layout, noted
 from occfusion.data.ocmotion.chomp_layout import ChompScene, sequence_names
 from occfusion.data.ocmotion.w2a_layout import W2aScene
-from occfusion.data.posing import AtRest
+from occfusion.data.posing import Poser
 from occfusion.data.scene import Scene
 from occfusion.data.video.video_layout import VideoScene
 from occfusion.data.zju.humannerf_layout import HumanNerfScene
@@ -17,7 +17,7 @@ from occfusion.errors import ConfigError
 
 def open_folder(
     folder: Path,
-    body: AtRest,
+    body: Poser,
     masks: str | None = None,
     sequence: str | None = None,
     person: int | None = None,
@@ -40,32 +40,20 @@ def open_folder(
         DataError: no known layout, or its files are missing, damaged or inconsistent.
         ConfigError: a sequence has to be named, or no layout of that name.
     """
-    found = find_layout(folder, asked=layout)
-    return found, noted(_reader(found, folder, body, masks, sequence, person, numbered), folder, found)
-
-
-def _reader(
-    layout: str,
-    folder: Path,
-    body: AtRest,
-    masks: str | None,
-    sequence: str | None,
-    person: int | None,
-    numbered: bool,
-) -> Scene:
-    match layout:
+    match found := find_layout(folder, asked=layout):
         case "humannerf":
-            return HumanNerfScene(folder, body, masks or "masks")
+            scene: Scene = HumanNerfScene(folder, body, masks or "masks")
         case "w2a":
-            return W2aScene(folder, body.pelvis, masks or "masks", person)
+            scene = W2aScene(folder, body.pelvis, masks or "masks", person)
         case "video":
-            return VideoScene(folder, body.pelvis, masks or "masks", person)
+            scene = VideoScene(folder, body.pelvis, masks or "masks", person)
         case "chomp":
             if sequence is None:
                 raise ConfigError(
                     f"{folder}: holds several sequences; name one (--scene here, dataset.scene in training) of "
                     f"{', '.join(sequence_names(folder))[:400]}."
                 )
-            return ChompScene(folder, sequence, body.pelvis, masks or "mask", person, numbered=numbered)
+            scene = ChompScene(folder, sequence, body.pelvis, masks or "mask", person, numbered=numbered)
         case _:
-            return ZjuScene(folder, body.pelvis, masks or "mask", refined=layout == "refined")
+            scene = ZjuScene(folder, body.pelvis, masks or "mask", refined=found == "refined")
+    return found, noted(scene, folder, found)

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from occfusion.data.cameras import Lens
 from occfusion.data.scene import PictureFiles
-from occfusion.data.silhouette import Hidden, Silhouette, bounding_box, read_people
+from occfusion.data.silhouette import Hidden, Silhouette, bounding_box, read_people, require_size
 from occfusion.errors import DataError
+from occfusion.fields.bits import unpacked
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.types import Box
 
@@ -73,17 +74,15 @@ class Packed:
 
     def occluded(self) -> Tensor | None:
         """Returns the pixels that an occluder hides, bool `[H, W]`; None where that is not known."""
-        width, height = self.size
         if not self.certain:
             return None
         if self.hidden is None:
-            return torch.zeros(height, width, dtype=torch.bool)
-        bits = np.unpackbits(self.hidden, count=width * height)
-        return torch.from_numpy(bits.reshape(height, width).astype(bool))
+            return torch.zeros(self.size[::-1], dtype=torch.bool)
+        return torch.from_numpy(unpacked((self.hidden, self.size[::-1])))
 
     def _unpack(self, bits: Bytes) -> Mask:
         _, _, w, h = self.box
-        return np.unpackbits(bits, count=w * h).reshape(h, w).astype(bool)
+        return unpacked((bits, (h, w)))
 
     def _mask(self, bits: Bytes) -> Tensor:
         x, y, w, h = self.box
@@ -116,14 +115,15 @@ def pack(
         DataError: a file is missing or damaged, or its size is not that of the camera's other pictures.
     """
     observed, hiders = read_people(files)
-    _check_size(observed.shape, files.masks[0], lens)
+    require_size(observed.shape[::-1], files.masks[0], lens.source)
     crowded = files.complete_mask is None and bool(hiders.any())
     unknown = files.truth_unknown or crowded
     whole_path: Path | None
     if files.complete_mask is None:  # nothing stood before the person, or nobody knows what it hid
         whole_path, whole_mask = (None if unknown else files.rgb), observed
     else:
-        whole_path, whole_mask = files.complete_rgb, _read_mask(files.complete_mask, lens)
+        whole_path, whole_mask = files.complete_rgb, read_mask(files.complete_mask)
+        require_size(whole_mask.shape[::-1], files.complete_mask, lens.source)
     whole = None if whole_path is None else _cut(whole_path, whole_mask, lens)
     complete = lens.mask(whole_mask)
     if clean and whole is None and not unknown:
@@ -154,15 +154,9 @@ def pack(
     )
 
 
-def _read_mask(path: Path, lens: Lens) -> Mask:
-    mask = read_mask(path)
-    _check_size(mask.shape, path, lens)
-    return mask
-
-
 def _cut(path: Path, mask: Mask, lens: Lens) -> Bytes:
     picture = read_rgb(path)
-    _check_size(picture.shape, path, lens)
+    require_size(picture.shape[1::-1], path, lens.source)
     return lens.picture(_blacken(picture, mask))
 
 
@@ -172,11 +166,3 @@ def _blacken(picture: Bytes, mask: Mask) -> Bytes:
         return picture
     picture = np.ascontiguousarray(picture)
     return np.asarray(cv2.bitwise_and(picture, picture, mask=mask.astype(np.uint8)))
-
-
-def _check_size(shape: tuple[int, ...], path: Path, lens: Lens) -> None:
-    if (shape[1], shape[0]) != lens.source:
-        raise DataError(
-            f"{path}: {shape[1]} x {shape[0]} pixels, but this camera's pictures have "
-            f"{lens.source[0]} x {lens.source[1]}; pictures and masks must have one size."
-        )

@@ -24,42 +24,20 @@ class RestBody(Protocol):
         """Returns vertices `[V, 3]` and joints `[24, 3]` in metres."""
 
 
-class AtRest(Protocol):
-    """The part of a body that readers need.
-
-    Attributes:
-        num_betas: how many shape components it takes.
-        stands_in: it is not the body that the data were made with, and its owner knows that.
-    """
-
-    num_betas: int
-    stands_in: bool
-
-    def pelvis(self, betas: Array) -> Array:
-        """Returns the pelvis at rest for shape coefficients `[B]`, `[3]`, metres."""
-
-    def joints(self, betas: Array) -> Array:
-        """Returns the joints at rest for shape coefficients `[B]`, `[24, 3]`, metres."""
-
-
 class Poser:
     """Asks a body for vertices and joints, in NumPy; remembers shapes at rest.
 
-    Args:
+    Attributes:
         body: the body.
+        num_betas: how many shape components it takes.
         stands_in: it is not the one that the data were made with: what needs that one is done roughly.
     """
 
     def __init__(self, body: RestBody, *, stands_in: bool = False) -> None:
-        self._body = body
+        self.body = body
         self._rest: dict[bytes, tuple[Array, Array]] = {}
         self.num_betas: int = getattr(body, "num_betas", USUAL_BETAS)
         self.stands_in = stands_in
-
-    @property
-    def body(self) -> RestBody:
-        """The body itself."""
-        return self._body
 
     def pelvis(self, betas: Array) -> Array:
         """Returns the pelvis at rest for shape coefficients `[B]`, `[3]`, metres."""
@@ -77,7 +55,7 @@ class Poser:
     def pose(self, parameters: BodyParameters) -> tuple[Array, Array]:
         """Returns vertices `[V, 3]` and joints `[24, 3]` in the world, metres."""
         parts = (parameters.betas, parameters.global_orient, parameters.body_pose, parameters.transl)
-        vertices, joints = self._body(*(torch.tensor(part, dtype=torch.float32) for part in parts))
+        vertices, joints = self.body(*(torch.tensor(part, dtype=torch.float32) for part in parts))
         return vertices.double().cpu().numpy(), joints.double().cpu().numpy()
 
     def _at_rest(self, betas: Array) -> tuple[Array, Array]:
@@ -109,7 +87,7 @@ _DETERMINED = 1e-5
 """Singular values below this share of the largest leave a direction of the shape open."""
 
 
-def shape_from_joints(rest: Array, body: AtRest) -> Array:
+def shape_from_joints(rest: Array, body: Poser) -> Array:
     """Returns the shape coefficients `[10]` whose joints at rest come nearest to `rest`, by least squares.
 
     With the embedded body (condition 195) and joints rounded to float32 they are right to 5e-6, vertices to 3e-8 m.

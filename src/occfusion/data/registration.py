@@ -111,7 +111,8 @@ def register(views: Sequence[View], faces: Ints, rest: Floats) -> Registration |
     places, total = _places(rest), np.zeros(3)
     for _ in range(ROUNDS):
         base = total
-        data = measure_offsets(views, faces, _correction(base))
+        x, y, scale = base.tolist()
+        data = measure_offsets(views, faces, Correction((x, y), scale))
         blocks = _blocks(data.groups)
         if len(data) < LEAST_POINTS or len(np.unique(blocks)) < LEAST_BLOCKS:
             return None
@@ -122,7 +123,7 @@ def register(views: Sequence[View], faces: Ints, rest: Floats) -> Registration |
     if fit.noise > MOST_NOISE * data.size:
         return None
     error = fit.errors(blocks, data.size)
-    x, y, scale = (float(value) for value in total)
+    x, y, scale = total.tolist()
     return Registration(
         shift=(x, y),
         scale=scale,
@@ -169,11 +170,6 @@ def agreement(
     blocks = np.searchsorted(groups, data.groups) % min(BLOCKS, len(groups))
     spread = fit.left_out(blocks) if len(groups) > 1 else np.zeros(len(held))
     return float(fit.unknowns[0]), float(np.sqrt(spread + fit.prior_variance())[0])
-
-
-def _correction(values: Floats) -> Correction:
-    x, y, scale = (float(value) for value in values)
-    return Correction((x, y), scale)
 
 
 def _places(rest: Floats) -> tuple[Ints, Ints]:

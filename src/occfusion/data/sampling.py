@@ -82,21 +82,10 @@ class StepStream(IterableDataset[Frame]):
         return prefetched(self._read, map(self._sampler.position_at, drawn))
 
 
-class ViewStream(IterableDataset[Frame]):
-    """Held-out views in order; those that show nobody are left out."""
-
-    def __init__(self, read: Callable[[int, int], Frame], views: Sequence[tuple[int, int]]) -> None:
-        self._read = read
-        self._views = views
-
-    def __len__(self) -> int:
-        """Number of views, at most; needed by progress bars."""
-        return len(self._views)
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Yields the frames."""
-        frames = prefetched(lambda view: self._read(*view), self._views)
-        return (frame for frame in frames if bool(frame.visible_mask.any()))
+def evenly(items: Sequence[T], wanted: int) -> list[T]:
+    """Returns at most `wanted` of some items, evenly spread, the first and the last among them."""
+    chosen = np.linspace(0, len(items) - 1, min(wanted, len(items))).round().astype(int)
+    return [items[k] for k in chosen]
 
 
 def spread(count: int, wanted: int) -> list[int]:

@@ -14,6 +14,7 @@ from occfusion.data.prepare import Prepared
 from occfusion.data.registration import MOST_FRAMES, Registration, agreement, register
 from occfusion.data.sampling import spread
 from occfusion.data.views import Views
+from occfusion.types import Frame
 
 HELD_OUT_VIEWS = 60
 """Held-out pictures that are asked whether they are off like the training pictures, evenly spread."""
@@ -42,19 +43,18 @@ class SceneRegistration:
         """Returns what was measured and what follows, in words."""
         if self.measured is None:
             return "the outlines of body and masks tell too little of a shift of the pictures"
-        text = self.measured.text()
+        text, asked = self.measured.text(), ""
         if self.held_out is not None:
-            share, error = self.held_out
-            asked = f"held-out cameras ask for {share:.2f} ± {error:.2f} of it"
+            asked = ": held-out cameras ask for {:.2f} ± {:.2f} of it".format(*self.held_out)
         if not self.corrections:
-            return f"{text}; nothing is certainly off" + ("" if self.held_out is None else f": {asked}")
+            return f"{text}; nothing is certainly off{asked}"
         is_certain = not self.measured.correction.is_none
         taken = self.measured.correction if is_certain else self.measured.suspected
         text += f"; corrected by ({taken.shift[0]:+.2f}, {taken.shift[1]:+.2f}) px and {1 + taken.scale:.4f}"
         if self.held_out is None:
             return text
         whose = "in all cameras" if len(self.corrections) > 1 else "in the training camera alone"
-        return f"{text}, {whose}: {asked}"
+        return f"{text}, {whose}{asked}"
 
 
 def register_scene(
@@ -79,7 +79,8 @@ def register_scene(
         poses_may_explain: a shift may be one of poses throughout the video: it takes held-out cameras to confirm it.
     """
     own = prepared.camera
-    shown = [_training_view(prepared, views, poser, k) for k in spread(len(prepared.train), MOST_FRAMES)]
+    chosen = spread(len(prepared.train), MOST_FRAMES)
+    shown = [_view(views.train_frame(k, truth=False), k, views, poser) for k in chosen]
     rest = poser.rest_vertices(views.parameters(prepared.train[0]).betas)
     measured = register(shown, faces, rest)
     if measured is None or measured.suspected.is_none:
@@ -100,10 +101,9 @@ def register_scene(
     return SceneRegistration(measured, corrections, held_out)
 
 
-def _training_view(prepared: Prepared, views: Views, poser: Poser, position: int) -> View:
-    frame = views.train_frame(position, truth=False)
+def _view(frame: Frame, group: int, views: Views, poser: Poser) -> View:
     vertices = poser.pose(views.parameters(frame.index))[0]
-    return View(position, vertices, frame.camera, frame.visible_mask.numpy())
+    return View(group, vertices, frame.camera, frame.visible_mask.numpy())
 
 
 def _agreement(
@@ -116,10 +116,9 @@ def _agreement(
     *,
     or_misplaced: bool,
 ) -> tuple[float, float] | None:
-    shown, corrections = [], []
-    for frame, camera in asked:
-        found, lens = views.test_frame(frame, camera), views.lens(camera)
-        vertices = poser.pose(views.parameters(frame))[0]
-        shown.append(View(camera, vertices, found.camera, found.visible_mask.numpy()))
-        corrections.append(correction.resized(lens.size[0] / lens.source[0]))
-    return agreement(shown, corrections, faces, rest, or_misplaced=or_misplaced) if shown else None
+    if not asked:
+        return None
+    shown = [_view(views.test_frame(frame, camera), camera, views, poser) for frame, camera in asked]
+    lenses = [views.lens(camera) for _, camera in asked]
+    corrections = [correction.resized(lens.size[0] / lens.source[0]) for lens in lenses]
+    return agreement(shown, corrections, faces, rest, or_misplaced=or_misplaced)

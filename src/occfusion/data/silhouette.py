@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from occfusion.data.scene import PictureFiles
 from occfusion.errors import DataError
+from occfusion.fields.bits import unpacked
 from occfusion.files.images import read_mask, read_numbers
 from occfusion.types import Box
 
@@ -45,7 +47,7 @@ class Silhouette:
     def crop(self) -> NDArray[np.bool_]:
         """Returns the mask inside the box."""
         _, _, w, h = self.box
-        return np.unpackbits(self.bits, count=w * h).reshape(h, w).astype(bool)
+        return unpacked((self.bits, (h, w)))
 
     def columns(self) -> NDArray[np.int64]:
         """Returns the person's pixels in each column of the picture, `[W]`."""
@@ -87,6 +89,15 @@ def bounding_box(mask: NDArray[np.bool_]) -> Box:
         return 0, 0, 0, 0
     x, y = int(columns[0]), int(rows[0])
     return x, y, int(columns[-1]) - x + 1, int(rows[-1]) - y + 1
+
+
+def require_size(size: tuple[int, int], path: Path, wanted: tuple[int, int]) -> None:
+    """Raises DataError unless a file has the (width, height) of its camera's other pictures."""
+    if size != wanted:
+        raise DataError(
+            f"{path}: {size[0]} x {size[1]} pixels, but this camera's pictures have {wanted[0]} x {wanted[1]}; "
+            "pictures and masks must have one size."
+        )
 
 
 Mask = NDArray[np.bool_]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from occfusion.data.module import RestBody
+from occfusion.data.posing import RestBody
 from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.synth import SceneSpec, with_turn, write_scene
 
@@ -26,14 +26,8 @@ def make_synthetic(
     light: str = "soft",
     turn: int | None = None,
     facing: int | None = None,
-    train_camera: int = 0,
-    test_cameras: Sequence[int] | None = None,
-    train_frames: Sequence[int] | None = None,
-    test_frames: Sequence[int] | None = None,
-    occlusion: str | Mapping[str, object] = "strip",
-    masks: str = "mask",
-    seed: int = 0,
     fast_dev_run: bool = False,
+    **reading: Any,
 ) -> ZjuDataModule:
     """Returns the DataModule of an embedded scene, written to disk first when it is not there yet.
 
@@ -47,14 +41,8 @@ def make_synthetic(
         light: `soft` or `directional`.
         turn: degrees that the person turns, to and fro; 360: all round; None: as the name of the scene says.
         facing: which side the first camera sees, degrees: 0 the front, 180 the back; None: as the name says.
-        train_camera: see `ZjuDataModule`, as all that follows.
-        test_cameras: ...
-        train_frames: ...
-        test_frames: ...
-        occlusion: ...
-        masks: ...
-        seed: of the sampling order. The scene is the same for every seed.
         fast_dev_run: a tiny scene, for a trial of the code alone.
+        **reading: how it is read, as `ZjuDataModule` has it. The scene is the same for every `seed`.
 
     Raises:
         ConfigError: a scene name, size or light that does not exist.
@@ -65,16 +53,4 @@ def make_synthetic(
         spec = replace(spec, image_size=FAST_DEV_SIZE, frames=FAST_DEV_FRAMES, cameras=FAST_DEV_CAMERAS)
     folder = Path(root) / f"{spec.image_size}px-{spec.frames}x{spec.cameras}-{spec.light}"
     write_scene(folder, spec)
-    return ZjuDataModule(
-        folder,
-        spec.name,
-        body,
-        image_size=image_size,
-        train_camera=train_camera,
-        test_cameras=test_cameras,
-        train_frames=train_frames,
-        test_frames=test_frames,
-        occlusion=occlusion,
-        masks=masks,
-        seed=seed,
-    )
+    return ZjuDataModule(folder, spec.name, body, image_size=image_size, **reading)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from threading import Lock
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.data.cameras import Lens
@@ -20,6 +19,7 @@ from occfusion.data.packing import Packed, pack
 from occfusion.data.prepare import Prepared
 from occfusion.data.scene import BodyParameters
 from occfusion.errors import DataError
+from occfusion.fields import bits
 from occfusion.files.images import image_size, read_mask
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.types import Camera, Frame, Pose, Truth
@@ -83,7 +83,7 @@ class Views:
         self._lenses: dict[int, Lens] = {}
         self._parameters: dict[int, BodyParameters] = {}
         self.complete_masks: Callable[[int], Path] | None = None
-        self._complete: dict[Path, NDArray[np.uint8]] = {}
+        self._complete: dict[Path, bits.Packed] = {}
         self._lock = Lock()
         self.corrections: dict[int, Correction] = {}
 
@@ -118,9 +118,8 @@ class Views:
                     f"{path}: {mask.shape[1]} x {mask.shape[0]} pixels, but frames have {width} x {height}; "
                     "the mask is of another run"
                 )
-            self._complete[path] = np.packbits(mask)
-        bits = np.unpackbits(self._complete[path], count=width * height)
-        return torch.from_numpy(bits.reshape(height, width).astype(bool))
+            self._complete[path] = bits.packed(mask)
+        return torch.from_numpy(bits.unpacked(self._complete[path]))
 
     def test_frame(self, frame: int, camera: int) -> Frame:
         """Returns a held-out view: unoccluded, its truth being what it shows."""
@@ -201,17 +200,9 @@ class Views:
 def frame_to(frame: Frame, device: torch.device | str) -> Frame:
     """Returns the frame with all its tensors on `device`."""
 
-    def move(tensor: Tensor | None) -> Tensor | None:
-        return None if tensor is None else tensor.to(device)
+    def moved(record: Any) -> dict[str, Any]:
+        parts = {field.name: getattr(record, field.name) for field in fields(record)}
+        return {name: part.to(device) for name, part in parts.items() if hasattr(part, "to")}
 
-    return replace(
-        frame,
-        rgb=frame.rgb.to(device),
-        visible_mask=frame.visible_mask.to(device),
-        occluded=move(frame.occluded),
-        complete_mask=move(frame.complete_mask),
-        truth=frame.truth
-        and Truth(frame.truth.rgb.to(device), frame.truth.mask.to(device), move(frame.truth.depth)),
-        camera=frame.camera.to(device),
-        pose=frame.pose.to(device),
-    )
+    truth = frame.truth and replace(frame.truth, **moved(frame.truth))
+    return replace(frame, **moved(frame), truth=truth)

@@ -139,11 +139,10 @@ def evaluate_image(
     scores = []
     for region in regions:
         by_class = region in CLASSES
-        comparison = (
-            _of_class(region, frame, shown, rgb.device)
-            if by_class
-            else _comparison(region, frame, rgb.device)
-        )
+        if by_class:
+            comparison = _of_class(region, frame, shown, rgb.device)
+        else:
+            comparison = _comparison(region, frame, rgb.device)
         figures: dict[str, Any] = {}
         if comparison is not None:
             # of scattered pixels, a network that looks at their surroundings says nothing
@@ -190,14 +189,11 @@ def _comparison(region: str, frame: Frame, device: torch.device) -> _Comparison 
     if region == "box":
         box = padded_box(mask)
         return None if box is None else _Comparison(rgb, mask, _inside(box, mask), None, box)
-    unseen = ~frame.visible_mask.to(device)
-    occluded = None if frame.occluded is None else frame.occluded.to(device)
     # a noisy visible mask leaves out rims that no occluder covers; where the occluder is known, it decides
-    pixels = mask & (unseen if occluded is None else occluded)
+    hidden = (~frame.visible_mask if frame.occluded is None else frame.occluded).to(device)
+    pixels = mask & hidden
     box = padded_box(pixels)
-    return (
-        None if box is None else _Comparison(rgb, mask, unseen if occluded is None else occluded, pixels, box)
-    )
+    return None if box is None else _Comparison(rgb, mask, hidden, pixels, box)
 
 
 def _of_class(
@@ -293,3 +289,24 @@ def _mean(rows: list[ImageRow]) -> dict[str, float | int | None]:
 def write_per_image_csv(path: Path | str, rows: Iterable[ImageRow]) -> None:
     """Writes one line for each row; an empty field is a figure that cannot be computed."""
     write_table(path, [field.name for field in fields(ImageRow)], (asdict(row) for row in rows))
+
+
+def write_grouped_csv(path: Path | str, rows: Sequence[ImageRow], by: str) -> None:
+    """Writes one line for each region and camera, or each region and frame, with the mean over its images.
+
+    Columns: `by`, `region`, `images`, `lpips_images` and `depth_images` (how many have a perceptual figure, and one
+    of depth) and the metrics; an empty field is a figure that no image has. The mean over a column is the mean over
+    cameras or frames, which differs from the mean over images where these have different numbers of images.
+
+    Args:
+        path: the file.
+        rows: of an evaluation.
+        by: `camera` or `frame`.
+    """
+    lines: list[dict[str, Any]] = []
+    for value in sorted({getattr(row, by) for row in rows}):
+        means = summarise(row for row in rows if getattr(row, by) == value)
+        lines += [{by: value, "region": region, **mean} for region, mean in means.items() if mean["images"]]
+    for line in lines:
+        del line["psnr_capped"]
+    write_table(path, [by, "region", "images", "lpips_images", "depth_images", *FIGURES], lines)

@@ -49,10 +49,8 @@ def with_gains(
 
     def rendered(frame: Frame) -> Rendering:
         rendering, gain = render(frame), gains.get(frame.camera_index)
-        return (
-            rendering
-            if gain is None
-            else replace(rendering, rgb=rendering.rgb * rendering.rgb.new_tensor(gain))
-        )
+        if gain is None:
+            return rendering
+        return replace(rendering, rgb=rendering.rgb * rendering.rgb.new_tensor(gain))
 
     return rendered

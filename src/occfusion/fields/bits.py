@@ -46,8 +46,8 @@ def unpacked(kept: Packed) -> Mask:
 class PackedMasks(Mapping[int, Mask]):
     """Masks by the numbers of frames, kept as bits; each is made anew when it is asked for."""
 
-    def __init__(self, masks: Mapping[int, Mask] | None = None) -> None:
-        self._kept = {frame: packed(mask) for frame, mask in (masks or {}).items()}
+    def __init__(self) -> None:
+        self._kept: dict[int, Packed] = {}
 
     def __getitem__(self, frame: int) -> Mask:
         """Returns the mask of a frame, bool `[H, W]`."""

@@ -1,4 +1,4 @@
-"""Writing files whole or not at all: temporary name, flush to the disk, rename."""
+"""Writing files, and folders of numbered files, whole or not at all: temporary name, flush to the disk, rename."""
 
 from __future__ import annotations
 
@@ -30,25 +30,19 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
         DataError: the disk refuses (full, read-only, not permitted).
     """
     path = Path(path)
-    temporary: Path | None = None
-    try:
+    with _explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name[:80]}.", suffix=_PARTIAL, dir=path.parent)
-        temporary = Path(name)
-        with os.fdopen(handle, "wb") as stream:
-            os.chmod(temporary, 0o666 & ~_umask())  # mkstemp gives 0600, which others could not read
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-        temporary = None
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                os.chmod(name, 0o666 & ~_umask())  # mkstemp gives 0600, which others could not read
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(name, path)
+        finally:
+            Path(name).unlink(missing_ok=True)  # gone where all went well
         _sync_folder(path.parent)
-    except OSError as error:
-        why = error.strerror or error
-        raise DataError(f"{path}: cannot be written ({why}); check space and rights.") from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 def make_writable(folder: Path) -> None:
@@ -137,6 +131,58 @@ def write_png(path: Path | str, image: NDArray[Any]) -> None:
     if not done:
         raise DataError(f"{path}: the picture {image.shape} could not be encoded.")
     write_bytes(path, encoded.tobytes())
+
+
+def numbered(row: int, suffix: str) -> str:
+    """Returns the name of a file, such as `0012.png`."""
+    return f"{row:04d}{suffix}"
+
+
+@contextlib.contextmanager
+def folder_beside(path: Path) -> Iterator[Path]:
+    """Yields a folder on the disk of `path`, for what is not whole yet.
+
+    Raises:
+        DataError: the disk refuses.
+    """
+    with _explained(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        folder = tempfile.TemporaryDirectory(prefix=f".{path.name[:80]}.", dir=path.parent)
+    with folder as name:
+        yield Path(name)
+
+
+def put_in_place(folder: Path, place: Path, suffix: str, count: int) -> None:
+    """Moves the files `0000`, `0001`, ... of a folder to their place, where those of an earlier call give way.
+
+    Other files stay.
+
+    Args:
+        folder: that has them all.
+        place: where they go.
+        suffix: of the files.
+        count: how many there are.
+
+    Raises:
+        DataError: the disk refuses.
+    """
+    with _explained(place):
+        place.mkdir(parents=True, exist_ok=True)
+        for file in folder.glob(f"*{suffix}"):
+            file.replace(place / file.name)
+        for old in place.glob(f"[0-9][0-9][0-9][0-9]*{suffix}"):
+            if old.stem.isdigit() and int(old.stem) >= count:
+                old.unlink()
+
+
+@contextlib.contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Says which file could not be written, and what to do."""
+    try:
+        yield
+    except OSError as error:
+        why = error.strerror or error
+        raise DataError(f"{path}: cannot be written ({why}); check space and rights.") from error
 
 
 def _umask() -> int:

@@ -28,8 +28,8 @@ class Glb:
         document: everything but buffers and accessors; names arrays by what `add` returned.
     """
 
-    def __init__(self, document: dict[str, Any] | None = None) -> None:
-        self.document: dict[str, Any] = document or {}
+    def __init__(self) -> None:
+        self.document: dict[str, Any] = {}
         self._accessors: list[dict[str, Any]] = []
         self._views: list[dict[str, Any]] = []
         self._content = bytearray()

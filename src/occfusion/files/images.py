@@ -8,7 +8,10 @@
 | colours, palette | as they are | labels: colours other than black, places in the palette other than 0 |
 | CMYK, EXIF rotation other than upright, neither PNG nor JPEG | refused | refused |
 | cut short | refused | refused |
-| array of numbers, `.npy` | refused | as `maskarray.py` reads it |
+| array, `.npy` | refused | true and false, whole numbers from 0 to 65535, or a share of the person from 0 to 1 |
+
+Arrays are numbers only: nothing in such a file is executed. InstantAvatar's preparation of PeopleSnapshot writes masks
+so. Shares, which are floating-point numbers, count as a soft mask of 255 steps.
 """
 
 from __future__ import annotations
@@ -23,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.errors import DataError
+from occfusion.files.arrays import load_npy, npy_form
 from occfusion.files.imageheader import ImageHeader, essential_png, parse_header
-from occfusion.files.maskarray import is_mask_array, mask_array_size, read_mask_array
 from occfusion.files.unpickle import read_bytes
 
 MAX_MEGAPIXELS = 64.0
@@ -49,6 +52,11 @@ _GREY = 40
 
 _TO_8_BITS = 257
 """65535 / 255."""
+
+MASK_ARRAY = ".npy"
+"""Suffix of masks that are kept as arrays."""
+
+_ARRAY_KINDS, _LARGEST = "biuf", 65535
 
 
 def image_header(path: Path | str) -> ImageHeader:
@@ -75,25 +83,25 @@ def image_header(path: Path | str) -> ImageHeader:
 
 def image_size(path: Path | str) -> tuple[int, int]:
     """Returns (width, height) in pixels, without decoding."""
-    if is_mask_array(path):
-        return mask_array_size(path)
+    if _is_array(path):
+        return _array_size(path)
     header = image_header(path)
     return header.width, header.height
 
 
-def sound_size(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> tuple[int, int]:
+def sound_size(path: Path | str) -> tuple[int, int]:
     """Returns (width, height) in pixels of a file that can be read, as far as its beginning and its end say.
 
     Raises:
         DataError: missing, cut short, too large, or of a form the table above refuses.
     """
     path = Path(path)
-    if is_mask_array(path):
-        return mask_array_size(path)
+    if _is_array(path):
+        return _array_size(path)
     header = image_header(path)
     if not header.complete and _ends(path, header):
         header = replace(header, complete=True)
-    _refuse(path, header, max_megapixels)
+    _refuse(path, header)
     return header.width, header.height
 
 
@@ -106,12 +114,8 @@ def _ends(path: Path, header: ImageHeader) -> bool:
     return header.format == "jpeg" and parse_header(read_bytes(path, MAX_FILE_BYTES)).complete
 
 
-def _refuse(path: Path, header: ImageHeader, max_megapixels: float) -> None:
-    if header.width * header.height > max_megapixels * 1e6:
-        raise DataError(
-            f"{path}: declares {header.width} x {header.height} pixels, more than {max_megapixels:g} "
-            "megapixels; scale it down first."
-        )
+def _refuse(path: Path, header: ImageHeader) -> None:
+    _refuse_large(path, header.width, header.height)
     if header.orientation != 1:
         raise DataError(
             f"{path}: EXIF orientation {header.orientation}; the calibration cannot tell whether it means "
@@ -123,13 +127,20 @@ def _refuse(path: Path, header: ImageHeader, max_megapixels: float) -> None:
         raise DataError(f"{path}: the picture is cut short; get the file again.")
 
 
-def read_rgb(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.uint8]:
+def _refuse_large(path: Path | str, width: int, height: int) -> None:
+    if width * height > MAX_MEGAPIXELS * 1e6:
+        raise DataError(
+            f"{path}: declares {width} x {height} pixels, more than {MAX_MEGAPIXELS:g} megapixels; scale it down first."
+        )
+
+
+def read_rgb(path: Path | str) -> NDArray[np.uint8]:
     """Returns the picture, uint8 `[H, W, 3]`, in RGB order.
 
     Raises:
         DataError: missing, damaged, cut short, too large, or of a form the table above refuses.
     """
-    image = _to_8_bits(_decode(Path(path), max_megapixels))
+    image = _to_8_bits(_decode(Path(path)))
     if image.ndim == 2:
         return np.repeat(image[..., None], 3, axis=2)
     if image.shape[2] == 4:
@@ -138,9 +149,7 @@ def read_rgb(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArra
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
-def read_mask(
-    path: Path | str, max_megapixels: float = MAX_MEGAPIXELS, *, any_value: bool = False
-) -> NDArray[np.bool_]:
+def read_mask(path: Path | str, *, any_value: bool = False) -> NDArray[np.bool_]:
     """Returns where the person is, bool `[H, W]`.
 
     Rule: a PNG with a few colours holds the labels of a parser, painted: every colour but black is the person.
@@ -150,15 +159,14 @@ def read_mask(
 
     Args:
         path: the file.
-        max_megapixels: larger pictures are refused.
         any_value: every value but 0 is the person in a PNG, however faint; a JPEG is not to be trusted near 0.
 
     Raises:
         DataError: as `read_rgb`; or several values besides 0 of which the largest is between labels
             and a soft mask, which could mean either.
     """
-    array = is_mask_array(path)
-    image = read_mask_array(path, max_megapixels) if array else _decode(Path(path), max_megapixels)
+    array = _is_array(path)
+    image = _read_array(path) if array else _decode(Path(path))
     painted, exact = False, array or image_header(path).format == "png"
     if image.ndim == 3:
         image = image[..., :3]
@@ -166,7 +174,7 @@ def read_mask(
         brightest = np.maximum(np.maximum(first, second), third)
         spread = brightest - np.minimum(np.minimum(first, second), third)
         painted = exact and int(spread.max(initial=0)) > _GREY
-        if painted and (person := _painted_labels(image, path, max_megapixels)) is not None:
+        if painted and (person := _painted_labels(image, path)) is not None:
             return person
         image = brightest
     if image.dtype == np.uint16 and image.max(initial=0) < 256:
@@ -186,7 +194,7 @@ def read_mask(
     )
 
 
-def _painted_labels(image: NDArray[Any], path: Path | str, max_megapixels: float) -> NDArray[np.bool_] | None:
+def _painted_labels(image: NDArray[Any], path: Path | str) -> NDArray[np.bool_] | None:
     """Returns where a picture `[H, W, 3]` of painted labels has one, None where it has too many colours for that.
 
     The places in a palette are the labels; of two that are both black, one is somebody.
@@ -195,13 +203,13 @@ def _painted_labels(image: NDArray[Any], path: Path | str, max_megapixels: float
     if len(np.unique(flat @ (1 << 32, 1 << 16, 1))) > MAX_LABEL + 1:
         return None
     person = image.any(axis=2)
-    places = _decode(Path(path), max_megapixels, as_stored=True)
+    places = _decode(Path(path), as_stored=True)
     if places.ndim == 2 and not (person & (places == 0)).any():
         return np.asarray(places > 0)
     return np.asarray(person)
 
 
-def read_numbers(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> NDArray[np.uint16]:
+def read_numbers(path: Path | str) -> NDArray[np.uint16]:
     """Returns the values of a mask that numbers several people, uint16 `[H, W]`, 0 being nobody.
 
     Grey values as they are stored, with 1 to 16 bits; of a palette, the places in it and not its colours.
@@ -210,9 +218,9 @@ def read_numbers(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> ND
         DataError: as `read_rgb`; or the file is a JPEG, which changes values, or its channels differ.
     """
     path = Path(path)
-    if is_mask_array(path):
-        return read_mask_array(path, max_megapixels).astype(np.uint16)
-    image = _decode(path, max_megapixels, as_stored=True)
+    if _is_array(path):
+        return _read_array(path).astype(np.uint16)
+    image = _decode(path, as_stored=True)
     if image_header(path).format == "jpeg":
         raise DataError(f"{path}: a JPEG cannot number people, it changes values; write the masks as PNG.")
     if image.ndim == 3:
@@ -224,7 +232,7 @@ def read_numbers(path: Path | str, max_megapixels: float = MAX_MEGAPIXELS) -> ND
     return image.astype(np.uint16)
 
 
-def _decode(path: Path, max_megapixels: float, *, as_stored: bool = False) -> NDArray[Any]:
+def _decode(path: Path, *, as_stored: bool = False) -> NDArray[Any]:
     """Returns the picture as OpenCV decodes it: grey, BGR or BGRA, 8 or 16 bits.
 
     With `as_stored`, grey values of less than 8 bits are not spread over 0..255, and palettes are not looked up.
@@ -234,7 +242,7 @@ def _decode(path: Path, max_megapixels: float, *, as_stored: bool = False) -> ND
         header = parse_header(content)
     except ValueError as error:
         raise DataError(f"{path}: {error}; pictures and masks must be PNG or JPEG files.") from None
-    _refuse(path, header, max_megapixels)
+    _refuse(path, header)
     try:
         if header.format == "png":
             content = essential_png(content, palette=not as_stored)
@@ -256,3 +264,44 @@ def _to_8_bits(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype == np.uint16:
         return ((image.astype(np.uint32) + _TO_8_BITS // 2) // _TO_8_BITS).astype(np.uint8)
     return image
+
+
+def _is_array(path: Path | str) -> bool:
+    return Path(path).suffix.lower() == MASK_ARRAY
+
+
+def _array_size(path: Path | str) -> tuple[int, int]:
+    """Returns (width, height) of a mask that is an array, reading only the beginning of the file.
+
+    Raises:
+        DataError: missing, damaged, or no picture of numbers.
+    """
+    shape, dtype = npy_form(path)
+    plane = shape[:2] if len(shape) == 3 and shape[2] == 1 else shape
+    if len(plane) != 2 or 0 in plane or dtype.kind not in _ARRAY_KINDS:
+        raise DataError(
+            f"{path}: holds {dtype} of shape {shape}; a mask is [height, width], true and false or numbers."
+        )
+    return plane[1], plane[0]
+
+
+def _read_array(path: Path | str) -> NDArray[Any]:
+    """Returns the values of a mask that is an array, uint8 or uint16 `[H, W]`.
+
+    Raises:
+        DataError: missing, damaged, too large, no picture of numbers, or values that no mask has.
+    """
+    width, height = _array_size(path)
+    _refuse_large(path, width, height)
+    values = np.asarray(load_npy(path)).reshape(height, width)
+    if values.dtype.kind == "b":
+        return values.astype(np.uint8)
+    if not np.isfinite(values).all() or values.min() < 0 or values.max() > _LARGEST:
+        raise DataError(f"{path}: a mask has no values below 0, above {_LARGEST}, infinite or NaN.")
+    if values.dtype.kind == "f" and (values != np.round(values)).any():
+        if values.max() > 1:
+            raise DataError(
+                f"{path}: fractions up to {float(values.max()):g}; write 0 to 1 as the share of the person."
+            )
+        values = np.round(values * 255)
+    return values.astype(np.uint8 if values.max() < 256 else np.uint16)

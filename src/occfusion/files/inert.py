@@ -230,13 +230,14 @@ def _set(*args: Any) -> SetRecord:
     return record
 
 
-def _never(*_args: Any) -> None:
+def never(*_args: Any) -> None:
+    """Refuses the call of a class that may only be named."""
     raise NotData("a call of a class that may only be named")
 
 
 def _table() -> Mapping[tuple[str, str], Global]:
     table: dict[tuple[str, str], Callable[..., Any]] = {
-        ("numpy", "ndarray"): _never,
+        ("numpy", "ndarray"): never,
         ("numpy", "dtype"): DtypeRecord,
         ("_codecs", "encode"): _encode,
         ("collections", "OrderedDict"): _ordered_dict,
@@ -247,7 +248,7 @@ def _table() -> Mapping[tuple[str, str], Global]:
         table[f"{core}.numeric", "_frombuffer"] = _from_buffer
     for builtins, copyreg in (("builtins", "copyreg"), ("__builtin__", "copy_reg")):
         table[builtins, "bytes"] = _empty_bytes
-        table[builtins, "object"] = _never
+        table[builtins, "object"] = never
         table[builtins, "set"] = _set
         table[copyreg, "_reconstructor"] = _instance
     for kind in ("csc", "csr", "coo"):

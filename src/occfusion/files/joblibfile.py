@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from occfusion.errors import DataError
-from occfusion.files.inert import DtypeRecord, Global, KeptState, NotData, make_array
+from occfusion.files.inert import DtypeRecord, Global, KeptState, NotData, make_array, never
 from occfusion.files.unpickle import MAX_PICKLE_BYTES, DataUnpickler, explained, read_bytes
 
 _WRAPPER = "joblib.numpy_pickle.NumpyArrayWrapper"
@@ -39,14 +39,6 @@ def load_joblib(path: Path | str) -> Any:
     return explained(lambda: _JoblibUnpickler(io.BytesIO(content), len(content)).load(), str(path))
 
 
-def _plain_dict(*_default: Any) -> dict[Any, Any]:
-    return {}
-
-
-def _never(*_arguments: Any) -> None:
-    raise NotData("a call of a class that may only be named")
-
-
 class _JoblibUnpickler(DataUnpickler):
     dispatch: ClassVar[dict[int, Any]] = dict(DataUnpickler.dispatch)
 
@@ -54,9 +46,9 @@ class _JoblibUnpickler(DataUnpickler):
         if f"{module}.{name}" == _WRAPPER:
             return Global(_WRAPPER, lambda: KeptState(_WRAPPER))
         if (module, name) == ("collections", "defaultdict"):  # its factory is named and never called
-            return Global("collections.defaultdict", _plain_dict)
+            return Global("collections.defaultdict", lambda *_default: {})
         if module == "builtins" and name in ("dict", "list"):
-            return Global(f"builtins.{name}", _never)
+            return Global(f"builtins.{name}", never)
         return super().find_class(module, name)
 
 

@@ -20,6 +20,18 @@ REGIONS = ("full", "box", "visible", "hidden", "seen_many", "seen_one", "unseen"
 """Regions of `metrics.json`: held-out cameras, training views, held-out cameras by what training saw of the body."""
 
 
+class Inside:
+    """A name in a folder: gives the path of it in the folder whose attribute it is."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, folder: Any, _kind: type) -> Path:
+        """Returns where it lies; it need not exist."""
+        path: Path = folder.path / self._name
+        return path
+
+
 @dataclass(frozen=True)
 class FrameFolder:
     """A folder with two pictures for each frame, named by the frame's number, and a manifest.
@@ -32,10 +44,8 @@ class FrameFolder:
     path: Path
     second: str
 
-    @property
-    def manifest(self) -> Path:
-        """With what each picture was made."""
-        return self.path / "manifest.json"
+    manifest = Inside("manifest.json")
+    """With what each picture was made."""
 
     def picture(self, frame: int) -> Path:
         """Returns where the picture of a frame lies."""
@@ -72,30 +82,16 @@ class StageFolder:
 
     path: Path
 
-    @property
-    def avatar(self) -> Path:
-        """The avatar alone, as the stage left it."""
-        return self.path / "avatar.safetensors"
-
-    @property
-    def checkpoint(self) -> Path:
-        """What a stopped stage continues from."""
-        return self.path / "last.ckpt"
-
-    @property
-    def earlier_checkpoint(self) -> Path:
-        """The one before, for where that one is damaged."""
-        return self.path / "previous.ckpt"
-
-    @property
-    def bad_step(self) -> Path:
-        """The frame of a step that was not finite, for `occfusion replay`."""
-        return self.path / "bad_step.npz"
-
-    @property
-    def record(self) -> Path:
-        """Written last: the stage is done, with its training seconds and the fingerprint of its avatar."""
-        return self.path / "stage.json"
+    avatar = Inside("avatar.safetensors")
+    """The avatar alone, as the stage left it."""
+    checkpoint = Inside("last.ckpt")
+    """What a stopped stage continues from."""
+    earlier_checkpoint = Inside("previous.ckpt")
+    """The one before, for where that one is damaged."""
+    bad_step = Inside("bad_step.npz")
+    """The frame of a step that was not finite, for `occfusion replay`."""
+    record = Inside("stage.json")
+    """Written last: the stage is done, with its training seconds and the fingerprint of its avatar."""
 
     @property
     def damage(self) -> str | None:
@@ -128,30 +124,16 @@ class RunFolder:
 
     # --- what the run is -----------------------------------------------------------------------------
 
-    @property
-    def config(self) -> Path:
-        """The resolved settings."""
-        return self.path / "config.yaml"
-
-    @property
-    def environment(self) -> Path:
-        """Whose folder it is, on what machine and with which versions; its creation claims the folder."""
-        return self.path / "environment.json"
-
-    @property
-    def plan(self) -> Path:
-        """What the scene needs and what was left out."""
-        return self.path / "plan.json"
-
-    @property
-    def finished(self) -> Path:
-        """What the results belong to; the last thing that a run writes."""
-        return self.path / "finished.json"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the process at work in the folder."""
-        return self.path / ".at_work"
+    config = Inside("config.yaml")
+    """The resolved settings."""
+    environment = Inside("environment.json")
+    """Whose folder it is, on what machine and with which versions; its creation claims the folder."""
+    plan = Inside("plan.json")
+    """What the scene needs and what was left out."""
+    finished = Inside("finished.json")
+    """What the results belong to; the last thing that a run writes."""
+    lock = Inside(".at_work")
+    """Held by the process at work in the folder."""
 
     @property
     def shared(self) -> Path:
@@ -164,10 +146,8 @@ class RunFolder:
         """Returns the folder of a stage."""
         return StageFolder(self.path / name)
 
-    @property
-    def occlusion(self) -> Path:
-        """What a simulated occlusion hides of each training frame."""
-        return self.path / "occlusion"
+    occlusion = Inside("occlusion")
+    """What a simulated occlusion hides of each training frame."""
 
     @property
     def masks(self) -> FrameFolder:
@@ -179,45 +159,22 @@ class RunFolder:
         """References of the refinement stage; beside each where it counts."""
         return FrameFolder(self.path / "inpainted", "regions")
 
-    @property
-    def completion(self) -> Path:
-        """Colours of the body's surface, those of what no frame shows completed; one row a vertex."""
-        return self.path / "completion.npz"
-
-    @property
-    def completion_picture(self) -> Path:
-        """The same as a picture of front and back."""
-        return self.path / "completion.png"
-
-    @property
-    def point_cloud(self) -> Path:
-        """Canonical Gaussians in the 3DGS layout."""
-        return self.path / "point_cloud.ply"
-
-    @property
-    def losses(self) -> Path:
-        """Every term, rate and count a step."""
-        return self.path / "losses.csv"
-
-    @property
-    def curve(self) -> Path:
-        """Error against training time."""
-        return self.path / "error_vs_time.csv"
-
-    @property
-    def tensorboard(self) -> Path:
-        """TensorBoard's files, a folder a stage."""
-        return self.path / "tensorboard"
-
-    @property
-    def motion(self) -> Path:
-        """Poses of the sequence, frame by frame."""
-        return self.path / "motion.npz"
-
-    @property
-    def cameras(self) -> Path:
-        """Cameras of the training and held-out views."""
-        return self.path / "cameras.json"
+    completion = Inside("completion.npz")
+    """Colours of the body's surface, those of what no frame shows completed; one row a vertex."""
+    completion_picture = Inside("completion.png")
+    """The same as a picture of front and back."""
+    point_cloud = Inside("point_cloud.ply")
+    """Canonical Gaussians in the 3DGS layout."""
+    losses = Inside("losses.csv")
+    """Every term, rate and count a step."""
+    curve = Inside("error_vs_time.csv")
+    """Error against training time."""
+    tensorboard = Inside("tensorboard")
+    """TensorBoard's files, a folder a stage."""
+    motion = Inside("motion.npz")
+    """Poses of the sequence, frame by frame."""
+    cameras = Inside("cameras.json")
+    """Cameras of the training and held-out views."""
 
     def wandb_id(self, stage: str) -> Path:
         """Returns where the number lies under which Weights & Biases knows a stage."""
@@ -225,60 +182,28 @@ class RunFolder:
 
     # --- what the evaluation leaves ------------------------------------------------------------------
 
-    @property
-    def metrics(self) -> Path:
-        """Means over images, region by region."""
-        return self.path / "metrics.json"
-
-    @property
-    def per_image(self) -> Path:
-        """One row a region of an evaluated image."""
-        return self.path / "per_image.csv"
-
-    @property
-    def per_camera(self) -> Path:
-        """Means camera by camera."""
-        return self.path / "per_camera.csv"
-
-    @property
-    def per_frame(self) -> Path:
-        """Means frame by frame."""
-        return self.path / "per_frame.csv"
-
-    @property
-    def pictures(self) -> Path:
-        """Folder of comparisons for people."""
-        return self.path / "pictures"
-
-    @property
-    def held_out_picture(self) -> Path:
-        """Held-out views: truth, rendering, error; a description of its parts lies beside it."""
-        return self.pictures / "held_out.png"
-
-    @property
-    def training_picture(self) -> Path:
-        """Training views in the same way."""
-        return self.pictures / "training.png"
-
-    @property
-    def before_after(self) -> Path:
-        """Frames of the video above the avatar in the same pose."""
-        return self.pictures / "before_after.png"
-
-    @property
-    def turntable(self) -> Path:
-        """A film of one turn around the avatar."""
-        return self.pictures / "turntable.webp"
-
-    @property
-    def directions_picture(self) -> Path:
-        """The body, coloured by how many directions training saw each place from."""
-        return self.pictures / "directions.png"
-
-    @property
-    def report(self) -> Path:
-        """The page a person looks at first."""
-        return self.path / "report.md"
+    metrics = Inside("metrics.json")
+    """Means over images, region by region."""
+    per_image = Inside("per_image.csv")
+    """One row a region of an evaluated image."""
+    per_camera = Inside("per_camera.csv")
+    """Means camera by camera."""
+    per_frame = Inside("per_frame.csv")
+    """Means frame by frame."""
+    pictures = Inside("pictures")
+    """Folder of comparisons for people."""
+    held_out_picture = Inside("pictures/held_out.png")
+    """Held-out views: truth, rendering, error; a description of its parts lies beside it."""
+    training_picture = Inside("pictures/training.png")
+    """Training views in the same way."""
+    before_after = Inside("pictures/before_after.png")
+    """Frames of the video above the avatar in the same pose."""
+    turntable = Inside("pictures/turntable.webp")
+    """A film of one turn around the avatar."""
+    directions_picture = Inside("pictures/directions.png")
+    """The body, coloured by how many directions training saw each place from."""
+    report = Inside("report.md")
+    """The page a person looks at first."""
 
     # --- what the training of a prior leaves instead -------------------------------------------------
 
@@ -287,20 +212,12 @@ class RunFolder:
         """What a stopped training of a prior continues from."""
         return StageFolder(self.path).checkpoint
 
-    @property
-    def corpus(self) -> Path:
-        """Folder of the examples that a prior learns from."""
-        return self.path / "corpus"
-
-    @property
-    def prior_weights(self) -> Path:
-        """The trained network."""
-        return self.path / "prior.safetensors"
-
-    @property
-    def prior_card(self) -> Path:
-        """How it was trained, and its figures."""
-        return self.path / "card.json"
+    corpus = Inside("corpus")
+    """Folder of the examples that a prior learns from."""
+    prior_weights = Inside("prior.safetensors")
+    """The trained network."""
+    prior_card = Inside("card.json")
+    """How it was trained, and its figures."""
 
     # --- reading ---------------------------------------------------------------------------------------
 

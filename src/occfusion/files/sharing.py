@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import os
 import shutil
 import tempfile
@@ -13,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from occfusion.errors import CheckpointError
+from occfusion.files.digest import digest_of_values
 from occfusion.files.lock import only_one
 from occfusion.files.run_folder import RunFolder, StageFolder, read_json
 
@@ -30,8 +29,7 @@ def shared_folder(folder: RunFolder, chosen: str | None, stage: str, identity: M
         identity: all that the result depends on; must be writable as JSON.
     """
     root = folder.shared if chosen is None else Path(chosen)
-    key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
-    return root / stage / key
+    return root / stage / digest_of_values(identity)
 
 
 def take_or_make(

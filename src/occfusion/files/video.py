@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.errors import DataError
-from occfusion.files.atomic import atomic_write, write_png
-from occfusion.files.numbered import folder_beside, numbered, put_in_place
+from occfusion.files.atomic import atomic_write, folder_beside, numbered, put_in_place, write_png
 
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 ANIMATED = ".webp"

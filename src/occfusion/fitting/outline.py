@@ -28,17 +28,14 @@ def mask_field(mask: Mask, hidden: Mask | None) -> tuple[NDArray[np.float32], Fl
     step = side / FIELD
     affine = np.array([[step, 0, corner[0] + 0.5 * step - 0.5], [0, step, corner[1] + 0.5 * step - 0.5]])
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    small = np.asarray(cv2.warpAffine(mask.astype(np.uint8), affine, (FIELD, FIELD), flags=flags)) > 0
-    allowed = small.copy()
+
+    def cells(picture: Mask) -> Mask:
+        return np.asarray(cv2.warpAffine(picture.astype(np.uint8), affine, (FIELD, FIELD), flags=flags)) > 0
+
+    small = cells(mask)
+    allowed = small | ~cells(np.ones_like(mask))  # beyond the picture nothing is known
     if hidden is not None:
-        allowed |= (
-            np.asarray(cv2.warpAffine(hidden.astype(np.uint8), affine, (FIELD, FIELD), flags=flags)) > 0
-        )
-    # beyond the picture nothing is known
-    inside = (
-        np.asarray(cv2.warpAffine(np.ones(mask.shape, np.uint8), affine, (FIELD, FIELD), flags=flags)) > 0
-    )
-    allowed |= ~inside
+        allowed |= cells(hidden)
     away = cv2.distanceTransform((~allowed).astype(np.uint8), cv2.DIST_L2, 5) * step
     contours, _ = cv2.findContours(small.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     outline = np.concatenate([contour.reshape(-1, 2) for contour in contours])

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.fitting.flips import exchanged, swapped_frames
+from occfusion.fitting.heading import exchanged, swapped_frames
 from occfusion.fitting.quality import Quality, measure
-from occfusion.fitting.solver import Problem, Solution, Weights, solve
+from occfusion.fitting.solver import Problem, Solution, solve
 from occfusion.footage.landmarks import KeyPoints
 from occfusion.human import Body
 
@@ -41,7 +41,6 @@ def fit_body(
     *,
     focal_known: bool = True,
     hidden: Sequence[NDArray[np.bool_]] | None = None,
-    weights: Weights | None = None,
     seed: int = 0,
     advance: Callable[[str], None] = lambda _: None,
 ) -> Fit:
@@ -55,7 +54,6 @@ def fit_body(
         seconds: time of each frame.
         focal_known: whether the focal length is to stay as it is.
         hidden: where something stands before the person; None where nothing is known.
-        weights: of the terms; None for what suits the key points, see `solve`.
         seed: of the little chance there is.
         advance: called at each step with the stage's name.
 
@@ -65,6 +63,6 @@ def fit_body(
     swapped = swapped_frames(points)
     used = exchanged(points, swapped)
     problem = Problem(used, masks, K, focal_known, seconds, hidden)
-    solution = solve(body, problem, weights, seed=seed, advance=advance)
+    solution = solve(body, problem, seed=seed, advance=advance)
     quality = measure(body, solution, used, masks, hidden)
     return Fit(solution, quality, used, [int(k) for k in np.flatnonzero(swapped)])

@@ -58,12 +58,8 @@ class Quality:
         """Frames whose body misses key points or mask, or about which nothing is known."""
         nothing = np.isnan(self.pixels) & np.isnan(self.iou)
         with np.errstate(invalid="ignore"):
-            return [
-                int(k)
-                for k in np.flatnonzero(
-                    nothing | (self.pixels > DOUBTFUL_PIXELS) | (self.overlap < DOUBTFUL_IOU)
-                )
-            ]
+            misses = (self.pixels > DOUBTFUL_PIXELS) | (self.overlap < DOUBTFUL_IOU)
+        return [int(k) for k in np.flatnonzero(nothing | misses)]
 
     @property
     def trusted(self) -> bool:
@@ -104,6 +100,16 @@ def posed(body: Body, solution: Solution) -> Iterator[tuple[Floats, Floats]]:
             yield vertices.double().numpy(), joints.double().numpy()
 
 
+def landmarks_of(body: Body, solution: Solution) -> Floats:
+    """Returns where the landmarks of a fitted body are, `[N, 33, 3]`, metres."""
+    betas, orient, pose, transl = (
+        torch.tensor(part, dtype=torch.float32)
+        for part in (solution.betas, solution.global_orient, solution.body_pose, solution.transl)
+    )
+    batch = BodyBatch(body, np.zeros(1, dtype=np.int64))
+    return landmark_places(*batch.transforms(betas, rotations_of(orient, pose), transl)).double().numpy()
+
+
 def silhouette(vertices: Floats, K: Floats, faces: NDArray[np.integer], shape: tuple[int, int]) -> Mask:
     """Returns what a body covers of a picture of `shape`, on a preview of at most `PREVIEW` pixels."""
     scale = min(1.0, PREVIEW / max(shape))
@@ -123,18 +129,7 @@ def measure(
     hidden: Sequence[Mask] | None = None,
 ) -> Quality:
     """Returns how well the body lies on key points and masks."""
-    batch = BodyBatch(body, np.zeros(1, dtype=np.int64))
-    with torch.no_grad():
-        turns, places = batch.transforms(
-            torch.tensor(solution.betas, dtype=torch.float32),
-            rotations_of(
-                torch.tensor(solution.global_orient, dtype=torch.float32),
-                torch.tensor(solution.body_pose, dtype=torch.float32),
-            ),
-            torch.tensor(solution.transl, dtype=torch.float32),
-        )
-        marks = landmark_places(turns, places).double().numpy()
-    K = solution.K
+    K, marks = solution.K, landmarks_of(body, solution)
     flat = marks[..., :2] / np.maximum(marks[..., 2:], 0.05) * [K[0, 0], K[1, 1]] + K[:2, 2]
     tall = np.maximum(np.ptp(flat, axis=1).max(axis=1), 1.0)
     apart = np.linalg.norm(flat - points.pixels, axis=2) / tall[:, None] * 100.0
@@ -156,10 +151,8 @@ def measure(
                 partial[k] = (shown & cover).sum() > 0.05 * shown.sum()
                 shown = shown & ~cover
             both = float((shown & mask).sum())
-            iou[k], inside[k] = (
-                both / max(float((shown | mask).sum()), 1.0),
-                both / max(float(mask.sum()), 1.0),
-            )
+            iou[k] = both / max(float((shown | mask).sum()), 1.0)
+            inside[k] = both / max(float(mask.sum()), 1.0)
     return Quality(pixels, iou, inside, partial)
 
 

@@ -18,10 +18,18 @@ from torch import Tensor
 from occfusion.errors import DataError
 from occfusion.fitting.anchors import SPREADS, landmark_places
 from occfusion.fitting.batch import BodyBatch, rotations_of, spread_vertices
-from occfusion.fitting.heading import facing, hidden_headings, upright
+from occfusion.fitting.heading import (
+    MIN_CONFIDENCE,
+    TRUNK,
+    facing,
+    flat_turn,
+    heights,
+    hidden_headings,
+    trunk_turn,
+    upright,
+)
 from occfusion.fitting.outline import mask_field
 from occfusion.fitting.prior import beyond_limits, mean_pose, unlikely
-from occfusion.fitting.trunk import MIN_CONFIDENCE, TRUNK, flat_turn, heights, trunk_turn
 from occfusion.footage.landmarks import INDEX, KeyPoints
 from occfusion.human import Body
 
@@ -126,21 +134,19 @@ class _State:
 def solve(
     body: Body,
     problem: Problem,
-    weights: Weights | None = None,
     *,
     seed: int = 0,
     advance: Callable[[str], None] = lambda _: None,
 ) -> Solution:
     """Returns the body that fits key points and masks best, with one shape for all frames.
 
-    Without weights those of `Weights` are taken, or `SEEN_IN_SPACE` where there are landmarks in space.
+    The terms have the weights of `Weights`, or `SEEN_IN_SPACE` where there are landmarks in space.
 
     Raises:
         DataError: fewer than two frames have a trunk to start from.
     """
     torch.manual_seed(seed)
-    usual = Weights() if problem.points.world is None else SEEN_IN_SPACE
-    fit = _Fit(body, problem, weights or usual)
+    fit = _Fit(body, problem, Weights() if problem.points.world is None else SEEN_IN_SPACE)
     state = fit.start()
     losses = {}
     for name, steps, rate, free, terms in (
@@ -150,12 +156,12 @@ def solve(
         ("finish", 80, 0.006, ("orient", "transl", "pose", "betas", "log_focal"), ("masks",)),
     ):
         losses[name] = fit.descend(state, steps, rate, free, frozenset(terms), partial(advance, name))
-    focal = float(state.log_focal.exp())
     K = problem.K.copy()
-    K[0, 0] *= focal
-    K[1, 1] *= focal
-    parts = [t.detach().double().numpy() for t in (state.betas, state.orient, state.pose, state.transl)]
-    return Solution(parts[0], parts[1], parts[2], parts[3], K, losses)
+    K[[0, 1], [0, 1]] *= float(state.log_focal.exp())
+    betas, orient, pose, transl = (
+        t.detach().double().numpy() for t in (state.betas, state.orient, state.pose, state.transl)
+    )
+    return Solution(betas, orient, pose, transl, K, losses)
 
 
 class _Fit:
@@ -179,9 +185,7 @@ class _Fit:
         self.height = torch.tensor(heights(points), dtype=torch.float32)
         gaps = np.maximum(np.diff(np.asarray(problem.seconds, dtype=np.float64)), 1e-3)
         self.close = torch.tensor(np.clip(0.1 / gaps, 0.1, 3.0), dtype=torch.float32)
-        self.world = None
-        if points.world is not None:
-            self.world = torch.tensor(points.world, dtype=torch.float32)
+        self.world = None if points.world is None else torch.tensor(points.world, dtype=torch.float32)
         self.standing = self._standing()
         if problem.masks is not None:
             self._prepare_masks(problem.masks, problem.hidden)
@@ -222,10 +226,8 @@ class _Fit:
             order = np.argsort(np.concatenate([frames, told]))
             extra = [upright(headings[k]) for k in told]
             turns = np.concatenate([turns, np.reshape(extra, (-1, 3, 3))])[order]
-            depth, hips = (
-                np.concatenate([depth, away[told]])[order],
-                np.concatenate([hips, middles[told]])[order],
-            )
+            depth = np.concatenate([depth, away[told]])[order]
+            hips = np.concatenate([hips, middles[told]])[order]
             frames = np.concatenate([frames, told])[order]
         rotation = Rotation.from_matrix(turns)
         orient = Slerp(frames, rotation)(np.clip(every, frames[0], frames[-1])).as_rotvec()
@@ -340,19 +342,13 @@ class _Fit:
 
     def _prepare_masks(self, masks: Sequence[Mask], hidden: Sequence[Mask] | None) -> None:
         """Keeps each mask's distance field about the person, and points of its outline."""
-        fields, corners, steps, edges, has = [], [], [], [], []
-        for k, mask in enumerate(masks):
-            field_, corner, step, edge = mask_field(mask, None if hidden is None else hidden[k])
-            fields.append(field_)
-            corners.append(corner)
-            steps.append(step)
-            edges.append(edge)
-            has.append(bool(mask.any()))
+        covers: Sequence[Mask | None] = [None] * len(masks) if hidden is None else hidden
+        fields, corners, steps, edges = zip(*map(mask_field, masks, covers), strict=True)
         self.fields = torch.tensor(np.stack(fields))[:, None]
         self.corners = torch.tensor(np.stack(corners), dtype=torch.float32)
         self.steps = torch.tensor(steps, dtype=torch.float32)
         self.edges = torch.tensor(np.stack(edges), dtype=torch.float32)
-        self.has_mask = torch.tensor(has, dtype=torch.float32)
+        self.has_mask = torch.tensor([float(mask.any()) for mask in masks], dtype=torch.float32)
 
     def _outline(self, state: _State, turns: Tensor, places: Tensor, step: int) -> Tensor:
         w = self.weights

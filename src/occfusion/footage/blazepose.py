@@ -70,6 +70,17 @@ class Region:
             ]
         )
 
+    def warp(self, size: int, shrunk: Floats | float = 1.0) -> Floats:
+        """Returns the same map as OpenCV wants it, which counts the middle of the first pixel as 0.
+
+        Args:
+            size: pixels a side of the square.
+            shrunk: pixels of the picture that is warped for each of the picture, in x and y.
+        """
+        out = self.to_picture(size) * np.broadcast_to(shrunk, 2)[:, None]
+        out[:, 2] += out[:, :2].sum(axis=1) * 0.5 - 0.5
+        return out
+
     @staticmethod
     def spanned(middle: Floats, point: Floats) -> Region:
         """Returns the region about a middle whose upper end of the body is a point, both `[2]`, pixels."""
@@ -87,12 +98,10 @@ class Detection:
 
     Attributes:
         score: 0..1.
-        box: of the face and trunk, x, y, width, height, pixels.
         region: where the whole person is.
     """
 
     score: float
-    box: tuple[float, float, float, float]
     region: Region
 
 
@@ -124,13 +133,12 @@ class Model:
 
     Args:
         name: of a file in the package's assets.
-        threads: CPU threads.
 
     Raises:
         ConfigError: `ai-edge-litert` is not installed.
     """
 
-    def __init__(self, name: str, threads: int = 1) -> None:
+    def __init__(self, name: str) -> None:
         try:
             from ai_edge_litert.interpreter import Interpreter
         except ImportError as error:
@@ -139,7 +147,7 @@ class Model:
                 "Without it, give the body that another tool found (--from)."
             ) from error
         content = (resources.files("occfusion") / "assets" / name).read_bytes()
-        self._interpreter = Interpreter(model_content=content, num_threads=threads)
+        self._interpreter = Interpreter(model_content=content, num_threads=1)
         self._interpreter.allocate_tensors()
         self._input = self._interpreter.get_input_details()[0]["index"]
         self._outputs = {part["name"]: part["index"] for part in self._interpreter.get_output_details()}
@@ -169,8 +177,8 @@ def anchors() -> Floats:
 class Detector:
     """Finds the people of a picture."""
 
-    def __init__(self, threads: int = 1) -> None:
-        self._model = Model(DETECTOR, threads)
+    def __init__(self) -> None:
+        self._model = Model(DETECTOR)
 
     def __call__(self, picture: Picture) -> list[Detection]:
         """Returns the people of a picture `[H, W, 3]`, RGB, the surest first; empty for none."""
@@ -182,20 +190,7 @@ class Detector:
         found = []
         for box, score in merged(boxes, scores):
             points = box[4:].reshape(4, 2) * side + [whole.x - side / 2, whole.y - side / 2]
-            corner = box[:2] * side + [whole.x - side / 2, whole.y - side / 2]
-            extent = box[2:4] * side
-            found.append(
-                Detection(
-                    score,
-                    (
-                        float(corner[0] - extent[0] / 2),
-                        float(corner[1] - extent[1] / 2),
-                        float(extent[0]),
-                        float(extent[1]),
-                    ),
-                    Region.spanned(points[0], points[1]),
-                )
-            )
+            found.append(Detection(score, Region.spanned(points[0], points[1])))
         return found
 
 
@@ -241,8 +236,8 @@ def _iou(a: Floats, b: Floats) -> float:
 class Landmarker:
     """Finds the landmarks and the mask of the person in a region, and in its mirror image: the mean is nearer."""
 
-    def __init__(self, threads: int = 1) -> None:
-        self._model = Model(LANDMARKS, threads)
+    def __init__(self) -> None:
+        self._model = Model(LANDMARKS)
 
     def __call__(self, picture: Picture, region: Region) -> Sighting:
         """Returns what is seen in a region of a picture `[H, W, 3]`, RGB."""
@@ -322,20 +317,14 @@ def refined(points: Floats, heat: NDArray[np.float32]) -> Floats:
 
 def _cut(picture: Picture, region: Region, size: int) -> NDArray[np.float32]:
     """Returns a region as `[size, size, 3]`, 0..1; what lies outside of the picture is 0."""
-    to_picture = region.to_picture(size)
-    # OpenCV counts the middle of the first pixel as 0
-    shifted = to_picture.copy()
-    shifted[:, 2] += to_picture[:, :2].sum(axis=1) * 0.5 - 0.5
     source: NDArray[Any] = picture
     shrink = region.side / size
     if shrink > 2.0:  # bilinear sampling alone would skip pixels
         step = 1 / np.floor(shrink)
         source = cv2.resize(picture, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
-        scale = np.array([source.shape[1] / picture.shape[1], source.shape[0] / picture.shape[0]])
-        shifted = to_picture * scale[:, None]
-        shifted[:, 2] += shifted[:, :2].sum(axis=1) * 0.5 - 0.5
+    warp = region.warp(size, np.array(source.shape[1::-1]) / picture.shape[1::-1])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    part = cv2.warpAffine(source, shifted, (size, size), flags=flags, borderMode=cv2.BORDER_CONSTANT)
+    part = cv2.warpAffine(source, warp, (size, size), flags=flags, borderMode=cv2.BORDER_CONSTANT)
     return part.astype(np.float32) / 255.0
 
 

@@ -52,19 +52,25 @@ def find_intrinsics(
             raise ConfigError(
                 f"--focal {focal:g}: no focal length of pictures with a longer side of {longer / scale:.0f}."
             )
-        return Intrinsics(_matrix(focal * scale, size), True, f"--focal {focal:g}")
+        return Intrinsics(centred(focal * scale, size), True, f"--focal {focal:g}")
     if picture is not None and (film := focal_on_film(picture)) is not None:
         return Intrinsics(
-            _matrix(film / _FILM_WIDTH * longer, size), True, f"EXIF of {picture.name}: {film:g} mm on film"
+            centred(film / _FILM_WIDTH * longer, size), True, f"EXIF of {picture.name}: {film:g} mm on film"
         )
     return Intrinsics(
-        _matrix(USUAL_FOCAL * longer, size), False,
+        centred(USUAL_FOCAL * longer, size), False,
         f"guessed, {USUAL_FOCAL:g} x the longer side; the fit may move it (--focal PIXELS if you know it)",
     )  # fmt: skip
 
 
-def _matrix(focal: float, size: tuple[int, int]) -> NDArray[np.float64]:
-    return np.array([[focal, 0.0, size[0] / 2], [0.0, focal, size[1] / 2], [0.0, 0.0, 1.0]])
+def pinhole(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
+    """Returns intrinsics `[3, 3]` of focal lengths and a principal point, pixels."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def centred(focal: float, size: tuple[float, float]) -> NDArray[np.float64]:
+    """Returns intrinsics `[3, 3]` of a focal length in pixels, the middle of a picture `size` being its centre."""
+    return pinhole(focal, focal, size[0] / 2, size[1] / 2)
 
 
 def focal_on_film(path: Path) -> float | None:
@@ -73,27 +79,17 @@ def focal_on_film(path: Path) -> float | None:
         return None
     with path.open("rb") as stream:
         head = stream.read(1 << 16)
-    at = head.find(b"Exif\0\0")
-    if at < 0:
-        return None
-    block = head[at + 6 :]
-    order = {b"II": "<", b"MM": ">"}.get(block[:2])
+    from PIL.Image import Exif
+
+    tags = Exif()
     try:
-        if order is None:
-            return None
-        (first,) = struct.unpack_from(order + "I", block, 4)
-        pointer = _entry(block, order, first, _EXIF_POINTER)
-        value = None if pointer is None else _entry(block, order, pointer, _FOCAL_35)
-    except struct.error:
+        tags.load(head[head.index(b"Exif\0\0") :])
+        return float(tags.get_ifd(_EXIF_POINTER)[_FOCAL_35]) or None
+    except (
+        KeyError,
+        SyntaxError,
+        TypeError,
+        ValueError,
+        struct.error,
+    ):  # there are none, or they are damaged
         return None
-    return float(value) if value else None
-
-
-def _entry(block: bytes, order: str, start: int, tag: int) -> int | None:
-    (count,) = struct.unpack_from(order + "H", block, start)
-    for index in range(count):
-        at = start + 2 + 12 * index
-        found, kind = struct.unpack_from(order + "HH", block, at)
-        if found == tag:
-            return int(struct.unpack_from(order + ("H" if kind == 3 else "I"), block, at + 8)[0])
-    return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +37,7 @@ class Clip:
     Attributes:
         path: the video, or the folder.
         pictures: files of a folder, in order; empty for a video.
-        frames: how many there are, as the container says.
+        frames: how many there are, as the container says; counted where it does not, as browsers' recordings.
         fps: frames a second; None for a folder.
         turned: degrees by which a phone says that its pictures are to be turned, which decoding does.
     """
@@ -91,7 +92,8 @@ def open_clip(path: Path | str) -> Clip:
     """
     path = Path(path)
     if path.is_dir():
-        files = sorted((p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES), key=_natural)
+        files = [p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES]
+        files.sort(key=lambda p: (natural(p.stem), p.name))
         if not files:
             raise DataError(f"{path}: holds no pictures ({', '.join(PICTURE_SUFFIXES)}).")
         return Clip(path, tuple(files), len(files), None, 0)
@@ -103,9 +105,13 @@ def open_clip(path: Path | str) -> Clip:
     try:
         frames, fps = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), float(capture.get(cv2.CAP_PROP_FPS))
         turned = int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
+        if frames <= 0:
+            frames = sum(1 for _ in iter(capture.grab, False))
     finally:
         capture.release()
-    return Clip(path, (), max(frames, 0), fps if np.isfinite(fps) and fps > 0 else None, turned)
+    if not frames:
+        raise DataError(f"{path}: no frame could be decoded; the file is damaged or empty.")
+    return Clip(path, (), frames, fps if np.isfinite(fps) and fps > 0 else None, turned)
 
 
 def read_clip(
@@ -220,15 +226,13 @@ def sharpness(picture: Picture) -> float:
 
 
 def _wanted(clip: Clip, every: int, frames: int | None, start: int, stop: int | None) -> set[int] | range:
-    end = stop if stop is not None else (clip.frames or 1 << 40)
-    if clip.pictures or clip.frames:
-        end = min(end, clip.frames)
-        if start >= end:
-            raise ConfigError(f"{clip.path}: has {clip.frames} frames; frame {start} is none of them.")
-    chosen = range(start, end, every)
-    if frames is not None and len(chosen) > frames:
-        return {chosen[int(k)] for k in np.linspace(0, len(chosen) - 1, frames).round()}
-    return chosen
+    end = clip.frames if stop is None else min(stop, clip.frames)
+    if start >= end:
+        raise ConfigError(f"{clip.path}: has {clip.frames} frames; frame {start} is none of them.")
+    every_so_many = range(start, end, every)
+    if frames is not None and len(every_so_many) > frames:
+        return {every_so_many[int(k)] for k in np.linspace(0, len(every_so_many) - 1, frames).round()}
+    return every_so_many
 
 
 def _decoded(
@@ -323,12 +327,6 @@ def _histogram(picture: Picture) -> NDArray[np.float64]:
     return np.asarray(counts.reshape(-1) / len(small))
 
 
-def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
-    parts: list[tuple[int, int, str]] = []
-    word = ""
-    for letter in path.stem + "\0":
-        if word and word[-1].isdigit() != letter.isdigit():
-            parts.append((0, int(word), "") if word.isdigit() else (1, 0, word))
-            word = ""
-        word += letter
-    return parts, path.name
+def natural(name: str) -> list[str | int]:
+    """Returns the key by which names are ordered as people count: 2 before 10; words and numbers in turn."""
+    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name))]

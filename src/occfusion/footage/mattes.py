@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.footage.blazepose import Region, Sighting
+from occfusion.footage.blazepose import Sighting
 
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
@@ -37,30 +37,21 @@ SMALL = 0.02
 def person_masks(pictures: Sequence[Picture], sightings: Sequence[Sighting | None]) -> list[Mask]:
     """Returns the mask of the visible person in each picture, `[H, W]`; empty where nobody was found."""
     soft = [_full(picture, sighting) for picture, sighting in zip(pictures, sightings, strict=True)]
-    steady = steadied(pictures, soft)
-    out = []
-    for picture, mask, sighting in zip(pictures, steady, sightings, strict=True):
-        if sighting is None:
-            out.append(np.zeros(mask.shape, dtype=bool))
-        else:
-            out.append(main_pieces(sharpened(picture, mask, sighting.region.side)))
-    return out
+    return [
+        np.zeros(mask.shape, dtype=bool)
+        if sighting is None
+        else main_pieces(sharpened(picture, mask, sighting.region.side))
+        for picture, mask, sighting in zip(pictures, steadied(pictures, soft), sightings, strict=True)
+    ]
 
 
 def _full(picture: Picture, sighting: Sighting | None) -> Floats:
-    """Returns a region's mask in the picture, `[H, W]`, 0..1."""
-    height, width = picture.shape[:2]
+    """Returns a region's mask in the picture, `[H, W]`, 0..1; 0 outside of the region."""
     if sighting is None:
-        return np.zeros((height, width), np.float32)
-    return lay_out(sighting.mask, sighting.region, (height, width))
-
-
-def lay_out(mask: Floats, region: Region, shape: tuple[int, int]) -> Floats:
-    """Returns the mask of a region in a picture of `shape`, 0 outside of it."""
-    size = len(mask)
-    to_picture = region.to_picture(size)
-    to_picture[:, 2] += to_picture[:, :2].sum(axis=1) * 0.5 - 0.5
-    return np.asarray(cv2.warpAffine(mask, to_picture, shape[::-1], flags=cv2.INTER_LINEAR), dtype=np.float32)
+        return np.zeros(picture.shape[:2], np.float32)
+    warp = sighting.region.warp(len(sighting.mask))
+    full = cv2.warpAffine(sighting.mask, warp, picture.shape[1::-1], flags=cv2.INTER_LINEAR)
+    return np.asarray(full, dtype=np.float32)
 
 
 def steadied(pictures: Sequence[Picture], masks: Sequence[Floats]) -> list[Floats]:

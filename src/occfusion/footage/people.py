@@ -127,8 +127,6 @@ def _choose(
         usual if rare else places, key=lambda k: (len(seen[k]), max((s.score for s in seen[k]), default=0.0))
     )
     people = sorted(seen[start], key=lambda s: s.region.x)
-    sizes = np.array([sighting.region.side for sighting in people])
-    large = _large(people)
     if rare and crowded:
         notes.append(f"a second person seems to be in frame {', '.join(str(numbers[k]) for k in crowded)}.")
     listed = ", ".join(
@@ -141,17 +139,16 @@ def _choose(
                 f"--person {person}: frame {numbers[start]} shows {listed}; choose one of these."
             )
         return start, people[person - 1].following
-    if large > 1:
+    if _large(people) > 1:
         raise DataError(
             f"{len(people)} people are in frame {numbers[start]}, from the left: {listed}. Say which one: --person 1 "
             f"to {len(people)}."
         )
-    largest = int(sizes.argmax())
+    largest = max(range(len(people)), key=lambda k: people[k].region.side)
     if len(people) > 1:
         notes.append(
-            f"{len(people)} people are in frame {numbers[start]}: {listed}; person {largest + 1}, by far "
-            "the largest, is followed "
-            "(--person for another)."
+            f"{len(people)} people are in frame {numbers[start]}: {listed}; person {largest + 1}, by far the largest, "
+            "is followed (--person for another)."
         )
     return start, people[largest].following
 
@@ -185,11 +182,8 @@ def _apart(one: Sighting, other: Sighting) -> bool:
 
 def _in_picture(sighting: Sighting, picture: Picture) -> bool:
     """Whether the trunk's middle is in the picture, or near it."""
-    middle = sighting.pixels[
-        [INDEX["left_hip"], INDEX["right_hip"], INDEX["left_shoulder"], INDEX["right_shoulder"]]
-    ]
-    limits = np.array(picture.shape[1::-1])
-    place = middle.mean(axis=0)
+    trunk = [INDEX[name] for name in ("left_hip", "right_hip", "left_shoulder", "right_shoulder")]
+    limits, place = np.array(picture.shape[1::-1]), sighting.pixels[trunk].mean(axis=0)
     return bool(((place > -0.1 * limits) & (place < 1.1 * limits)).all())
 
 

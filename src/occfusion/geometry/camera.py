@@ -47,10 +47,8 @@ def square_intrinsics(field_of_view: float, size: int) -> Tensor:
     return torch.tensor([[focal, 0.0, size / 2], [0.0, focal, size / 2], [0.0, 0.0, 1.0]])
 
 
-def orbit_camera(
-    target: Tensor, angle: float, distance: float, field_of_view: float, size: int, up: Tensor | None = None
-) -> Camera:
-    """Returns a camera on a horizontal circle around a target, looking at it.
+def orbit_camera(target: Tensor, angle: float, distance: float, field_of_view: float, size: int) -> Camera:
+    """Returns a camera on a horizontal circle around a target, looking at it, with +y upwards.
 
     Args:
         target: centre of the circle, `[3]`, metres.
@@ -59,19 +57,10 @@ def orbit_camera(
         distance: radius in metres.
         field_of_view: of the square picture, radians.
         size: side of the picture in pixels.
-        up: axis of the circle, `[3]`; +y when None.
     """
-    axis = target.new_tensor([0.0, 1.0, 0.0]) if up is None else functional.normalize(up.to(target), dim=0)
-    front = target.new_tensor([0.0, 0.0, 1.0])
-    front = front - axis * (front @ axis)
-    if float(front.norm()) < 1e-3:  # the circle's axis is z itself: any start will do
-        front = target.new_tensor([1.0, 0.0, 0.0])
-        front = front - axis * (front @ axis)
-    front = functional.normalize(front, dim=0)
-    side = torch.linalg.cross(axis, front)
-    eye = target + distance * (math.cos(angle) * front + math.sin(angle) * side)
+    eye = target + distance * target.new_tensor([math.sin(angle), 0.0, math.cos(angle)])
     K = square_intrinsics(field_of_view, size).to(target)
-    return Camera(look_at(eye, target, axis), K, size, size)
+    return Camera(look_at(eye, target, target.new_tensor([0.0, 1.0, 0.0])), K, size, size)
 
 
 def project_vertices(

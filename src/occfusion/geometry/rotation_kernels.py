@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from occfusion.cpu.compilation import inline, kernel
+from occfusion.cpu.compilation import array_of, inline, kernel
 
 Array = NDArray[np.float32]
 SERIES_BELOW = 1e-2
@@ -29,7 +29,7 @@ class AxisAngle(torch.autograd.Function):
         """Returns the matrices."""
         matrices = torch.empty(len(vectors), 3, 3)
         ctx.save_for_backward(vectors)
-        _forward(vectors.detach().contiguous().numpy(), matrices.numpy())
+        _forward(array_of(vectors), matrices.numpy())
         return matrices
 
     @staticmethod
@@ -38,7 +38,7 @@ class AxisAngle(torch.autograd.Function):
         """Returns the gradient by the vectors."""
         (vectors,) = ctx.saved_tensors
         found = torch.empty(vectors.shape)
-        _backward(vectors.detach().contiguous().numpy(), gradient.contiguous().numpy(), found.numpy())
+        _backward(array_of(vectors), array_of(gradient), found.numpy())
         return found
 
 

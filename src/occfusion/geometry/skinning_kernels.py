@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from occfusion.cpu.compilation import kernel
+from occfusion.cpu.compilation import array_of, kernel
 
 Array = NDArray[np.float32]
 Parents = NDArray[np.int64]
@@ -29,7 +29,7 @@ class Kinematics(torch.autograd.Function):
         transforms, turns, places = torch.empty(count, 4, 4), np.empty((count, 3, 3)), np.empty((count, 3))
         ctx.tree, ctx.turns, ctx.places = np.array(parents), turns, places
         ctx.save_for_backward(rotations, joints)
-        _forward(_array(rotations), _array(joints), ctx.tree, transforms.numpy(), turns, places)
+        _forward(array_of(rotations), array_of(joints), ctx.tree, transforms.numpy(), turns, places)
         return transforms
 
     @staticmethod
@@ -39,7 +39,7 @@ class Kinematics(torch.autograd.Function):
         rotations, joints = ctx.saved_tensors
         to_rotations, to_joints = torch.empty(rotations.shape), torch.empty(joints.shape)
         _backward(
-            _array(rotations), _array(joints), ctx.tree, ctx.turns, ctx.places, _array(gradient),
+            array_of(rotations), array_of(joints), ctx.tree, ctx.turns, ctx.places, array_of(gradient),
             to_rotations.numpy(), to_joints.numpy(),
         )  # fmt: skip
         return to_rotations, to_joints, None
@@ -49,11 +49,6 @@ def warm_up() -> None:
     """Compiles the kernels, or loads them from the cache: by one joint."""
     turn = torch.eye(3)[None].requires_grad_()
     Kinematics.apply(turn, torch.zeros(1, 3), (-1,)).sum().backward()
-
-
-def _array(tensor: Tensor) -> Array:
-    array: Array = tensor.detach().contiguous().numpy()
-    return array
 
 
 @kernel

@@ -38,9 +38,6 @@ def rasterize_mesh(
     faces: NDArray[np.integer],
     width: int,
     height: int,
-    *,
-    cull: bool = False,
-    near: float = NEAR,
 ) -> ZBuffer:
     """Returns the nearest surface at each pixel centre.
 
@@ -53,9 +50,6 @@ def rasterize_mesh(
         faces: triangles, `[F, 3]`.
         width: columns of the window.
         height: rows of the window.
-        cull: leave out triangles whose corners run clockwise as one sees them in the picture: the
-            back faces of a mesh with outward orientation.
-        near: triangles with a corner nearer than this, in metres, are left out.
 
     Raises:
         ValueError: an array has another shape, or a face names a vertex that does not exist.
@@ -72,7 +66,7 @@ def rasterize_mesh(
     depth = np.full((height, width), np.inf, np.float32)
     face = np.full((height, width), NO_FACE, np.int32)
     barycentrics = np.zeros((height, width, 3), np.float32)
-    _fill(points, distances, corners, near, cull, depth, face, barycentrics)
+    _fill(points, distances, corners, depth, face, barycentrics)
     return ZBuffer(depth, face, barycentrics)
 
 
@@ -81,8 +75,6 @@ def _fill(
     pixels: NDArray[np.float64],
     depths: NDArray[np.float64],
     faces: NDArray[np.int32],
-    near: float,
-    cull: bool,
     depth: NDArray[np.float32],
     face: NDArray[np.int32],
     barycentrics: NDArray[np.float32],
@@ -91,13 +83,13 @@ def _fill(
     for f in range(faces.shape[0]):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
         zi, zj, zk = depths[i], depths[j], depths[k]
-        if not (zi >= near and zj >= near and zk >= near):  # also leaves out NaN
+        if not (zi >= NEAR and zj >= NEAR and zk >= NEAR):  # also leaves out NaN
             continue
         xi, yi = pixels[i, 0], pixels[i, 1]
         xj, yj = pixels[j, 0], pixels[j, 1]
         xk, yk = pixels[k, 0], pixels[k, 1]
         area = (xj - xi) * (yk - yi) - (yj - yi) * (xk - xi)
-        if not abs(area) > MIN_DOUBLE_AREA or (cull and area > 0.0):
+        if not abs(area) > MIN_DOUBLE_AREA:
             continue
         # comparisons before the conversion to integers: coordinates may be huge
         left, right = max(min(xi, xj, xk) - 0.5, 0.0), min(max(xi, xj, xk) - 0.5, width - 1.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Mapping
 from typing import Any
 
@@ -14,14 +13,13 @@ from occfusion.files.bodyfile import NUM_JOINTS
 from occfusion.geometry.neighbours import Neighbours, nearest
 from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.skinning import bone_transforms
-from occfusion.human.binding import Binding, bind
 from occfusion.human.body import Body
 from occfusion.human.carry import Carried, blend_columns, carry
-from occfusion.human.deform import PoseRefiner, SkinningField, skinning_weights
+from occfusion.human.deform import Binding, PoseRefiner, SkinningField, bind, skinning_weights
 from occfusion.human.gaussians import Gaussians
 from occfusion.human.memo import Memo, Unchanged
 from occfusion.human.pose_spline import PoseSpline
-from occfusion.human.shading import brightness, posed_colors, seen_colors
+from occfusion.human.shading import brightness, posed_colors, seen_colors, surface_normals
 from occfusion.splat import Limits
 from occfusion.types import Cloud, Pose
 
@@ -189,8 +187,7 @@ class Avatar(nn.Module):
 
     def surface_normals(self, carried: Carried) -> Tensor:
         """Returns the body's normals at posed Gaussians, `[3, N]`, world, of any length, without gradient."""
-        own = self.da_normals[self.gaussians.vertex_index].T
-        return (carried.linear.detach() * own).sum(dim=1)
+        return surface_normals(self.gaussians, carried, self.da_normals)
 
     def relight(self, key_light: Tensor | None) -> None:
         """Puts another lamp in place of the learned one, for showing: `[3]`, world, see `shading.brightness`."""
@@ -207,21 +204,15 @@ class Avatar(nn.Module):
             rotations, transl = self.pose_spline(pose.frame_index, rotations, transl)
         return rotations, transl
 
-    def canonical(self, camera_centre: Tensor, angle: float = 0.0) -> Cloud:
+    def canonical(self, camera_centre: Tensor) -> Cloud:
         """Returns the Gaussians in the Da pose around their own origin; the centres are the parameters.
 
         Args:
             camera_centre: the camera that colours are for, `[3]`, metres.
-            angle: turn of the body about its vertical axis (+y), radians, counter-clockwise seen from above.
         """
         means: Tensor = self.gaussians.means
-        roots, turn = self.gaussians.roots(), None
-        if angle:
-            c, s = math.cos(angle), math.sin(angle)
-            turn = means.new_tensor([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-            means, roots = means @ turn.T, turn @ roots
-        turned = None if turn is None else turn.unsqueeze(-1)
-        colors = seen_colors(self.gaussians, self._active_sh_degree, means, camera_centre, turned)
+        roots = self.gaussians.roots()
+        colors = seen_colors(self.gaussians, self._active_sh_degree, means, camera_centre, None)
         return Cloud(means, roots @ roots.transpose(1, 2), self.gaussians.opacities, colors, self.dilation)
 
     def _offsets(self, betas: Tensor, rotations: Tensor) -> Tensor:

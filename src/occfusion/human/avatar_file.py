@@ -80,7 +80,7 @@ def load_avatar(path: Path | str, body: Body) -> Avatar:
         raise CheckpointError(f"{path}: no such avatar file; it is written when a stage ends")
     try:
         with safe_open(str(path), framework="pt") as file:
-            description = _checked_description(path, _stored(path, file.metadata()))
+            description = _stored(path, file.metadata())
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise CheckpointError(f"{path}: not a safetensors file, or damaged ({error})") from error
@@ -101,9 +101,9 @@ def make_avatar(path: Path, body: Body, description: dict[str, Any], tensors: di
     """
     description = _checked_description(path, description)
     tensors = {name: value for name, value in tensors.items() if name not in _KEPT_FOR_TRAINING}
-    if description["body"] != body.digest():
+    if description.get("body") != body.digest():
         raise CheckpointError(
-            f"{path}: made for another body (hash {description['body']}, given one has {body.digest()}); "
+            f"{path}: made for another body (hash {description.get('body')}, given one has {body.digest()}); "
             "set body.path to the file it was trained with"
         )
     try:
@@ -154,7 +154,7 @@ def _empty_avatar(body: Body, description: dict[str, Any]) -> Avatar:
             float(spline["first"]),
             float(spline["spacing"]),
             int(spline["knots"]),
-            bool(spline.get("aligned", False)),
+            bool(spline.get("aligned")),
         ),
         learn_skinning=bool(description["learn_skinning"]),
         skinning_every=int(description["skinning_every"]),

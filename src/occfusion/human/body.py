@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
+from copy import copy
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -75,9 +75,8 @@ class Body(nn.Module):
             "weights": arrays.weights,
         }
         for name, array in floats.items():
-            tensor = (
-                None if array is None else torch.tensor(array, dtype=dtype)
-            )  # a copy: arrays may be read-only
+            # a copy: arrays may be read-only
+            tensor = None if array is None else torch.tensor(array, dtype=dtype)
             self.register_buffer(name, tensor, persistent=False)
         self.register_buffer("faces", torch.tensor(arrays.faces), persistent=False)
 
@@ -183,16 +182,13 @@ class Body(nn.Module):
     def digest(self) -> str:
         """Returns a hash of all arrays at float32: what an avatar file names its body by."""
         content = hashlib.sha256()
-        for name, tensor in self._arrays():
+        for name, tensor in self.named_buffers(recurse=False):
             plain = tensor.detach().cpu()
             plain = plain.float() if plain.is_floating_point() else plain.int()
             content.update(f"{name}{list(plain.shape)}".encode())
             content.update(plain.contiguous().numpy().tobytes())
         content.update(str(self.parents).encode())
         return content.hexdigest()[:32]
-
-    def _arrays(self) -> Iterator[tuple[str, Tensor]]:
-        yield from self.named_buffers(recurse=False)
 
 
 def leading_betas(betas: Betas, count: int, where: str, *, cut: bool = False) -> Betas:
@@ -220,6 +216,13 @@ def leading_betas(betas: Betas, count: int, where: str, *, cut: bool = False) ->
             "was measured."
         )
     return betas[..., :count]
+
+
+def without_pose_blend_shapes(body: Body) -> Body:
+    """Returns a body that shares all arrays but the pose blend shapes, for parameters that were fitted without them."""
+    plain = copy(body)
+    plain._buffers = {**body._buffers, "posedirs": None}
+    return plain
 
 
 def load_body(path: Path | str, dtype: torch.dtype = torch.float32, *, cut_betas: bool = False) -> Body:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from occfusion.cpu.compilation import inline, kernel, run_parts
+from occfusion.cpu.compilation import array_of, inline, kernel, run_parts
 from occfusion.geometry.rotation import QUATERNION_FLOOR
 
 Array = NDArray[np.float32]
@@ -28,7 +28,7 @@ class Carry(torch.autograd.Function):
         count = len(inputs[0])
         moved, covariances, linear = torch.empty(count, 3), torch.empty(count, 3, 3), torch.empty(3, 3, count)
         ctx.save_for_backward(*inputs)
-        run_parts(_forward, *map(_array, inputs), moved.numpy(), covariances.numpy(), linear.numpy())
+        run_parts(_forward, *map(array_of, inputs), moved.numpy(), covariances.numpy(), linear.numpy())
         return moved, covariances, linear
 
     @staticmethod
@@ -39,7 +39,7 @@ class Carry(torch.autograd.Function):
         count = len(inputs[0])
         shapes = ((count, 3), (count, 3, 3), (3, 3, count))
         given = [
-            np.zeros(shape, np.float32) if gradient is None else _array(gradient)
+            np.zeros(shape, np.float32) if gradient is None else array_of(gradient)
             for shape, gradient in zip(shapes, gradients, strict=True)
         ]
         needs_rest, needs_offsets, needs_posed = needs = ctx.needs_input_grad[3:]
@@ -48,7 +48,7 @@ class Carry(torch.autograd.Function):
             # of a frame whose pose is not mended nothing but the Gaussians' own is asked
             out.append(torch.empty(shape) if is_needed else torch.empty([0] * len(shape)))
         run_parts(
-            _backward, *map(_array, inputs), *given, needs_rest, needs_offsets, needs_posed,
+            _backward, *map(array_of, inputs), *given, needs_rest, needs_offsets, needs_posed,
             *(tensor.numpy() for tensor in out),
         )  # fmt: skip
         results: list[Tensor | None] = [
@@ -65,11 +65,6 @@ def warm_up() -> None:
     shapes = ((0, 3), (0, 4), (0, 3), (3, 4, 0), (0, 3), (3, 4, 0))
     moved, covariances, linear = Carry.apply(*(torch.zeros(shape, requires_grad=True) for shape in shapes))
     (moved.sum() + covariances.sum() + linear.sum()).backward()
-
-
-def _array(tensor: Tensor) -> Array:
-    array: Array = tensor.detach().contiguous().numpy()
-    return array
 
 
 @inline

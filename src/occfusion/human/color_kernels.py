@@ -10,18 +10,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from occfusion.cpu.compilation import inline, kernel, run_parts
+from occfusion.cpu.compilation import array_of, inline, kernel, run_parts
+from occfusion.human.shading import HIGHEST_COMPILED, SHORTEST, TOUCHING
 from occfusion.splat.harmonics import COLOR_OFFSET, SH_C0, SH_C1
 
 Array = NDArray[np.float32]
 BLOCK = 1024
 """Gaussians that a thread takes at a time."""
-HIGHEST = 1
-"""Band up to which these kernels go."""
-TOUCHING = 1e-6
-"""Metres; a Gaussian nearer to the camera has no direction to be seen from, and is not drawn anyway."""
-SHORTEST = 1e-8
-"""Normals shorter than this have no direction."""
 
 
 class PosedColors(torch.autograd.Function):
@@ -45,7 +40,7 @@ class PosedColors(torch.autograd.Function):
         colors, shades = torch.empty(count, 3), torch.empty(count)
         inputs = (sh0, sh_rest, means, linear, camera_centre)
         run_parts(
-            _forward, *map(_array, inputs), _array(normals), rows.numpy(), _array(key_light), degree,
+            _forward, *map(array_of, inputs), array_of(normals), rows.numpy(), array_of(key_light), degree,
             colors.numpy(), shades.numpy(),
         )  # fmt: skip
         ctx.save_for_backward(*inputs, colors, shades)
@@ -63,7 +58,7 @@ class PosedColors(torch.autograd.Function):
         to_means = torch.empty(means.shape if degree else (0, 3))
         to_linear = torch.empty(linear.shape if degree else (3, 3, 0))
         run_parts(
-            _backward, *map(_array, inputs), colors.numpy(), shades.numpy(), _array(gradient), degree,
+            _backward, *map(array_of, inputs), colors.numpy(), shades.numpy(), array_of(gradient), degree,
             *(tensor.numpy() for tensor in (to_sh0, to_rest, to_means, to_linear)),
         )  # fmt: skip
         found: list[Tensor | None] = [to_sh0, to_rest, to_means, to_linear]
@@ -75,14 +70,15 @@ def warm_up() -> None:
     empty = [torch.zeros(shape) for shape in ((0, 1, 3), (0, 3, 3), (0, 3), (3, 3, 0))]
     none = torch.zeros(0, dtype=torch.int64)
     colors = PosedColors.apply(
-        empty[0].requires_grad_(), *empty[1:], torch.zeros(3), empty[2], none, torch.zeros(0), HIGHEST
+        empty[0].requires_grad_(),
+        *empty[1:],
+        torch.zeros(3),
+        empty[2],
+        none,
+        torch.zeros(0),
+        HIGHEST_COMPILED,
     )
     colors.sum().backward()
-
-
-def _array(tensor: Tensor) -> Array:
-    array: Array = tensor.detach().contiguous().numpy()
-    return array
 
 
 @inline

@@ -116,14 +116,10 @@ def in_words(parts: Iterable[str]) -> str:
     if set(SIDES["head"]) <= left:
         left = left - set(SIDES["head"]) | {"head"}
     for kind in ("arm", "leg"):
-        for prefix, both in (
-            ("", f"both {kind}s"),
-            ("front of the ", f"front of both {kind}s"),
-            ("back of the ", f"back of both {kind}s"),
-        ):
+        for prefix, side in (("", ""), ("front of the ", "front of "), ("back of the ", "back of ")):
             pair = {f"{prefix}left {kind}", f"{prefix}right {kind}"}
             if pair <= left:
-                left = left - pair | {both}
+                left = left - pair | {f"{side}both {kind}s"}
     words = [part if part.startswith("both") else f"the {part}" for part in sorted(left)]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 

@@ -46,21 +46,16 @@ def draw_coverage(body: Body, coverage: BodyCoverage) -> NDArray[np.uint8]:
         lit = (colours * shade[:, None])[faces[seen.face]]  # [H, W, 3 corners, 3]
         drawn = (lit * seen.barycentrics[..., None]).sum(axis=2)
         picture = np.where((seen.face != NO_FACE)[..., None], drawn, 255.0).round().astype(np.uint8)
-        cv2.putText(picture, name, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
+        _write(picture, name, (8, 18), 0.5)
         columns.append(picture)
     sheet = np.concatenate(columns, axis=1)
     left = 8
     for k in (MANY, ONE, UNSEEN):
         cv2.rectangle(sheet, (left, HEIGHT - 18), (left + 12, HEIGHT - 6), COLOURS[k], -1)
-        cv2.putText(
-            sheet,
-            WORDS[k],
-            (left + 18, HEIGHT - 7),
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.45,
-            (0, 0, 0),
-            1,
-            cv2.LINE_AA,
-        )
+        _write(sheet, WORDS[k], (left + 18, HEIGHT - 7), 0.45)
         left += 40 + 8 * len(WORDS[k])
     return sheet
+
+
+def _write(picture: NDArray[np.uint8], text: str, place: tuple[int, int], size: float) -> None:
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 1, cv2.LINE_AA)

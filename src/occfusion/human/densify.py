@@ -118,7 +118,6 @@ class Densifier(nn.Module):
             raise ConfigError(f"densification: loss_scale is {loss_scale}; it must be above 0")
         self.settings = settings or Densification()
         self.loss_scale = loss_scale
-        self.last_round: Round | None = None
         self.register_buffer("gradient_sum", torch.zeros(0))
         self.register_buffer("count", torch.zeros(0))
 
@@ -171,46 +170,31 @@ class Densifier(nn.Module):
         editing.write(population, avatar.gaussians, vertex_index, optimizer)
         avatar.forget_skinning()
         self._restart(population.values["means"])
-        self.last_round = Round(**done, **pruning, total=population.size)
-        return self.last_round
+        return Round(**done, **pruning, total=population.size)
 
     def _edit(
         self, population: Population, gradients: Tensor, generator: torch.Generator
     ) -> tuple[Population, dict[str, Any]]:
-        """Clones, splits and merges. New Gaussians have no gradient yet and wait a round."""
+        """Clones and splits, or divides, and merges. New Gaussians have no gradient yet and wait a round."""
         settings = self.settings
         is_small = population.values["log_scales"].amax(dim=1).exp() <= settings.dense
         is_moving = gradients >= settings.gradient
         wanted = is_moving & (self._divergence(population)[0] > settings.kl_apart)
         chosen = self._limit(wanted, gradients, settings.max_gaussians - population.size)
         clones, splits = chosen & is_small, chosen & ~is_small
+        counted = {"cloned": clones, "split": splits, "held_back": wanted & ~chosen}
+        is_candidate = is_moving & is_small
         if settings.divide:
-            return self._divide(population, chosen, is_moving & is_small, (clones, splits, wanted & ~chosen))
-        population = editing.edit_clone(population, clones, generator)
-        is_moving, is_small = (_extend(flag, population.size) for flag in (is_moving, is_small))
-        splits = _extend(splits, population.size)
-        population = editing.edit_split(population, splits, generator)
-        is_candidate = _extend((is_moving & is_small)[~splits], population.size)
-        pairs = self._pairs(population, is_candidate)
-        population = editing.edit_merge(population, pairs)
-        done = {"cloned": clones, "split": splits, "held_back": wanted & ~chosen}
-        return population, {**{key: int(flag.sum()) for key, flag in done.items()}, "merged": len(pairs)}
-
-    def _divide(
-        self,
-        population: Population,
-        chosen: Tensor,
-        is_candidate: Tensor,
-        counted: tuple[Tensor, Tensor, Tensor],
-    ) -> tuple[Population, dict[str, Any]]:
-        """As `_edit`, where those in `chosen` are divided; others of `is_candidate` may be merged."""
-        population = editing.edit_divide(population, chosen, self.settings.narrower)
-        pairs = self._pairs(population, _extend(is_candidate[~chosen], population.size))
-        population = editing.edit_merge(population, pairs)
-        counts = {
-            key: int(flag.sum()) for key, flag in zip(("cloned", "split", "held_back"), counted, strict=True)
-        }
-        return population, {**counts, "merged": len(pairs)}
+            population = editing.edit_divide(population, chosen, settings.narrower)
+            is_candidate = is_candidate[~chosen]
+        else:
+            population = editing.edit_clone(population, clones, generator)
+            is_candidate, splits = (_extend(flag, population.size) for flag in (is_candidate, splits))
+            population = editing.edit_split(population, splits, generator)
+            is_candidate = is_candidate[~splits]
+        pairs = self._pairs(population, _extend(is_candidate, population.size))
+        done = {key: int(flag.sum()) for key, flag in counted.items()}
+        return editing.edit_merge(population, pairs), {**done, "merged": len(pairs)}
 
     def _divergence(self, population: Population) -> tuple[Tensor, Tensor]:
         """Returns each Gaussian's KL divergence to its nearest neighbour `[N]`, and that neighbour `[N]`."""

@@ -103,14 +103,11 @@ def edit_divide(population: Population, chosen: Tensor, narrower: float = 1.0) -
     along = axes.gather(2, longest[:, None].expand(-1, 3, 1)).squeeze(-1)
     shorter = math.sqrt(1.0 - DIVIDED_BY**2)
     shrunk = (scales / narrower).scatter(1, longest, length * shorter)
-    halves = []
-    for side in (-1.0, 1.0):
-        values = dict(whole)
-        values["means"] = whole["means"] + side * DIVIDED_BY * length * along
-        values["log_scales"] = shrunk.clamp(MIN_SCALE, MAX_SCALE).log()
-        values["opacity_logits"] = _halved(whole["opacity_logits"], shorter, narrower)
-        halves.append(values)
-    both = {name: torch.cat([half[name] for half in halves]) for name in whole}
+    whole["log_scales"] = shrunk.clamp(MIN_SCALE, MAX_SCALE).log()
+    whole["opacity_logits"] = _halved(whole["opacity_logits"], shorter, narrower)
+    both = {name: torch.cat([value, value]) for name, value in whole.items()}
+    offset = DIVIDED_BY * length * along
+    both["means"] += torch.cat([-offset, offset])
     return _append(edit_keep(population, ~chosen), both, _inherit(population, rows.repeat(2)))
 
 
@@ -162,10 +159,7 @@ def edit_merge(population: Population, pairs: Tensor) -> Population:
     for name in ("sh0", "sh_rest"):
         values[name] = (shares[..., None, None] * old[name][pairs]).sum(dim=1)
     moments = {
-        name: {
-            "exp_avg": torch.zeros_like(values[name]),
-            "exp_avg_sq": kept["exp_avg_sq"][pairs].mean(dim=1),
-        }
+        name: {"exp_avg": torch.zeros_like(values[name]), "exp_avg_sq": kept["exp_avg_sq"][pairs].mean(dim=1)}
         for name, kept in population.moments.items()
     }
     keep = torch.ones(population.size, dtype=torch.bool, device=pairs.device)

@@ -218,18 +218,15 @@ def _middles_of_largest(vertices: Tensor, faces: Tensor, count: int) -> Tensor:
     return corners[largest].mean(dim=1)
 
 
-def means_rate(
-    step: int, initial: float = 1.6e-4, final: float = 1.6e-6, horizon: int = MEANS_HORIZON
-) -> float:
-    """Returns the learning rate of the means at a step: log-linear over `horizon` steps.
+def means_rate(step: int, initial: float = 1.6e-4, final: float = 1.6e-6) -> float:
+    """Returns the learning rate of the means at a step: log-linear over `MEANS_HORIZON` steps.
 
     Args:
         step: steps taken so far.
         initial: rate at step 0, learning rate of Adam.
-        final: rate at `horizon` and after.
-        horizon: in steps.
+        final: rate at `MEANS_HORIZON` and after.
     """
     if initial == 0 or final == 0:
-        return 0.0 if initial == 0 else initial * max(0.0, 1 - step / horizon)
-    share = min(max(step / horizon, 0.0), 1.0)
+        return 0.0 if initial == 0 else initial * max(0.0, 1 - step / MEANS_HORIZON)
+    share = min(max(step / MEANS_HORIZON, 0.0), 1.0)
     return math.exp((1 - share) * math.log(initial) + share * math.log(final))

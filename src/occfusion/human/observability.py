@@ -7,7 +7,7 @@ alone, a Gaussian may stand anywhere on its line, be as long as it likes along i
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -165,6 +165,10 @@ class CanonicalView:
     unseen: Tensor
     is_away: Tensor
 
+    def to(self, device: torch.device) -> CanonicalView:
+        """Returns the view with its tensors on `device`."""
+        return CanonicalView(*(getattr(self, part.name).to(device) for part in fields(self)))
+
 
 def canonical_views(
     vertices: NDArray[np.floating],
@@ -210,9 +214,8 @@ def _canonical_view(
     pixels, depths = project_vertices(points, viewmat, camera.K.numpy())
     seen = rasterize_mesh(pixels, depths, faces, camera.width, camera.height)
     body = seen.face != NO_FACE
-    corner = faces[
-        seen.face, seen.barycentrics.argmax(axis=2)
-    ]  # nonsense where there is no face, never read there
+    # nonsense where there is no face, and never read there
+    corner = faces[seen.face, seen.barycentrics.argmax(axis=2)]
     vertex = corner.ravel()[nearest_set(body)]
     inside = (signed_distance(body) + np.where(body, -0.5, 0.5)) * pixel  # which runs between two pixels
     weight = known.outline_ignorance(viewmat[0, :3])[vertex]

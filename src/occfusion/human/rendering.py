@@ -38,16 +38,14 @@ class Renderer:
         cloud: Cloud,
         camera: Camera,
         *,
-        background: Tensor | None = None,
         crop: Box | None = None,
         screen_offsets: Tensor | None = None,
     ) -> Rendering:
-        """Returns the picture of posed Gaussians; arguments as in `splat.rasterize`.
+        """Returns the picture of posed Gaussians over black; arguments as in `splat.rasterize`.
 
         Args:
             cloud: drawn with its own dilation.
             camera: on any device.
-            background: `[3]`; black when None.
             crop: window `(x, y, width, height)` to compute; the whole picture when None.
             screen_offsets: `[N, 2]` pixels, added to the projected centres.
         """
@@ -55,7 +53,7 @@ class Renderer:
         camera = camera.to(device)
         return rasterize(
             cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,
-            camera.width, camera.height, background=background, covariances=cloud.covariances,
+            camera.width, camera.height, covariances=cloud.covariances,
             backend=fitting_backend(self.backend, device), crop=crop, screen_offsets=screen_offsets,
             limits=Limits(dilation=cloud.dilation),
         )  # fmt: skip

@@ -17,7 +17,7 @@ from occfusion.splat.harmonics import evaluate
 HIGHEST_COMPILED = 1
 """Band up to which colours are computed by the kernels of `color_kernels.py`."""
 
-_TOUCHING = 1e-6
+TOUCHING = 1e-6
 """Metres; a Gaussian nearer to the camera has no direction to be seen from, and is not drawn anyway."""
 
 SHORTEST = 1e-8
@@ -50,12 +50,8 @@ def posed_colors(
             Gaussians: float32 on a CPU, bands 0 and 1.
     """
     means = carried.means
-    if (
-        compiled
-        and degree <= HIGHEST_COMPILED
-        and means.dtype == torch.float32
-        and means.device.type == "cpu"
-    ):
+    is_plain = means.dtype == torch.float32 and means.device.type == "cpu"
+    if compiled and is_plain and degree <= HIGHEST_COMPILED:
         # numba is loaded where it is used
         from occfusion.human import color_kernels
 
@@ -68,9 +64,19 @@ def posed_colors(
     colors = seen_colors(gaussians, degree, means, camera_centre, carried.linear)
     if key_light is None:
         return colors
+    return colors * brightness(surface_normals(gaussians, carried, normals), key_light)[:, None]
+
+
+def surface_normals(gaussians: Gaussians, carried: Carried, normals: Tensor) -> Tensor:
+    """Returns the body's normals at posed Gaussians, `[3, N]`, world, of any length, without gradient.
+
+    Args:
+        gaussians: on the body.
+        carried: where they are.
+        normals: of the canonical body's vertices, `[V, 3]`.
+    """
     own = normals[gaussians.vertex_index].T
-    facing = (carried.linear.detach() * own).sum(dim=1)
-    return colors * brightness(facing, key_light)[:, None]
+    return (carried.linear.detach() * own).sum(dim=1)
 
 
 def brightness(normals: Tensor, key_light: Tensor) -> Tensor:
@@ -106,5 +112,5 @@ def seen_colors(
         # the transpose undoes the turn; what a blend of turns stretches is taken out below
         x, y, z = directions
         directions = turned[0] * x + turned[1] * y + turned[2] * z
-    squared = directions.square().sum(dim=0).clamp(min=_TOUCHING**2)
+    squared = directions.square().sum(dim=0).clamp(min=TOUCHING**2)
     return evaluate(gaussians.sh(degree), (directions * squared.rsqrt()).T, degree)

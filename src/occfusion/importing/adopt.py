@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,12 +11,11 @@ import torch
 
 from occfusion.data.posing import Poser
 from occfusion.errors import DataError
-from occfusion.fitting.anchors import landmark_places
-from occfusion.fitting.batch import BodyBatch, rotations_of
+from occfusion.fitting.batch import BodyBatch
+from occfusion.fitting.heading import MIN_CONFIDENCE
 from occfusion.fitting.pipeline import Fit
-from occfusion.fitting.quality import measure
+from occfusion.fitting.quality import landmarks_of, measure
 from occfusion.fitting.solver import Solution
-from occfusion.fitting.trunk import MIN_CONFIDENCE
 from occfusion.footage.landmarks import KeyPoints
 from occfusion.human import Body
 from occfusion.importing.bodies import read_bodies
@@ -42,8 +42,8 @@ def adopt(
         DataError: as `read_bodies`, or the file is of other frames than these.
     """
     scale = sources.shot.scale
-    size = tuple(round(length / scale) for length in sources.shot.size)
-    found = read_bodies(path, tool, (size[0], size[1]), Poser(body).pelvis, person)
+    width, height = (round(length / scale) for length in sources.shot.size)
+    found = read_bodies(path, tool, (width, height), Poser(body).pelvis, person)
     row = {int(frame): k for k, frame in enumerate(found.frames)}
     places = [k for k, number in enumerate(sources.shot.numbers) if number in row]
     if len(places) < 2:
@@ -62,10 +62,7 @@ def adopt(
         notes.append(
             "the free body has shape numbers of its own: its mean shape is used (--body SMPL.pkl for SMPL's)."
         )
-    kept = Sources(
-        sources.clip, sources.shot.at(places), sources.points.at(places), [sources.masks[k] for k in places],
-        sources.intrinsics, None if sources.hidden is None else [sources.hidden[k] for k in places], notes,
-    )  # fmt: skip
+    kept = replace(sources.at(places), notes=notes)
     solution = Solution(
         np.zeros(10) if embedded else found.betas, found.global_orient[rows], found.body_pose[rows],
         found.transl[rows], K,
@@ -84,12 +81,7 @@ def stood(body: Body, solution: Solution, points: KeyPoints) -> Solution:
     Raises:
         DataError: the key points say too little.
     """
-    batch = BodyBatch(body, np.zeros(1, dtype=np.int64))
-    betas, orient, pose, transl = (
-        torch.tensor(part, dtype=torch.float32)
-        for part in (solution.betas, solution.global_orient, solution.body_pose, solution.transl)
-    )
-    marks = landmark_places(*batch.transforms(betas, rotations_of(orient, pose), transl)).double().numpy()
+    marks = landmarks_of(body, solution)
     sure = (points.confidence > MIN_CONFIDENCE) & (points.presence > 0)[:, None]
     if sure.sum() < FEWEST_POINTS:
         raise DataError(f"{int(sure.sum())} sure key points: too few to find the camera of these bodies by.")
@@ -103,7 +95,8 @@ def stood(body: Body, solution: Solution, points: KeyPoints) -> Solution:
     if not good:
         raise DataError("no camera shows these bodies where the key points are: are they of this clip?")
     R = cv2.Rodrigues(turn)[0]
-    pelvis = batch.joints_at_rest(betas)[0].double().numpy()
+    betas = torch.tensor(solution.betas, dtype=torch.float32)
+    pelvis = BodyBatch(body, np.zeros(1, dtype=np.int64)).joints_at_rest(betas)[0].double().numpy()
     orients = np.stack([cv2.Rodrigues(R @ cv2.Rodrigues(o)[0])[0].reshape(3) for o in solution.global_orient])
     # smplx turns about the pelvis: p -> A (p - j) + j + t, and the world turns everything
     places = (solution.transl + pelvis) @ R.T + shift.reshape(3) - pelvis

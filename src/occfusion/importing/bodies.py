@@ -32,12 +32,15 @@ from occfusion.data.checking import checks
 from occfusion.data.video.pose_table import read_motion
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.arrays import load_npy
+from occfusion.footage.camera import centred, pinhole
 from occfusion.importing.body_files import load_file
-from occfusion.importing.weak_perspective import LONG_LENS, centred, places
 
 _SMPLX = "its body is SMPL-X: pose and place are taken, and the shape's numbers mean something else to SMPL."
 _NLF_FIELD = 55
 """Degrees that NLF's pipeline takes a camera to see across the longer side, unless told (`--fov`)."""
+_LENS = 5000.0 / 224.0
+"""Focal length against the longer side: what tools of weak perspective suppose of their 224 px inputs if they must."""
+_LONG_LENS = "its camera supposes a very long lens, so that the person stands far away."
 
 Floats = NDArray[np.float64]
 Pelvis = Callable[[Floats], Floats]
@@ -90,7 +93,13 @@ def read_bodies(
         raise ConfigError(f"--from {tool}: known are {', '.join(TOOLS)}.")
     content = load_file(path, tool)
     name = tool or _recognised(content, path)
-    found = TOOLS[name](content, path, size, pelvis, person)
+    try:
+        found = TOOLS[name](content, path, size, pelvis, person)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        raise DataError(
+            f"{path}: is not what {name} writes ({type(error).__name__}: {error}); say which tool wrote it with "
+            f"--from TOOL FILE: {', '.join(TOOLS)}."
+        ) from error
     for key in ("betas", "global_orient", "body_pose", "transl"):
         rows = getattr(found, key)
         if not np.isfinite(rows).all():
@@ -100,38 +109,33 @@ def read_bodies(
     return found
 
 
+_OF_FILE = (
+    ({"easymocap"}, "easymocap"), ({"smpl_params_incam"}, "gvhmr"), ({"body_params_incam"}, "gem"),
+    ({"pred_rotmat"}, "tram"), ({"smpl_poses"}, "motion"), ({"bodyPose"}, "smpl"), ({"codecVersion"}, "smpl"),
+    ({"people", "camera"}, "prompthmr"),
+)  # fmt: skip
+"""Keys by which a tool's dict is known."""
+_OF_FIRST = (
+    ({"pose", "trans", "betas"}, "wham"), ({"pose", "orig_cam", "betas"}, "vibe"),
+    ({"smpl", "camera"}, "4d-humans"),
+)  # fmt: skip
+"""The same of the first value in it, a person or a frame."""
+_OF_ROW = (({"pose_rotvecs"}, "nlf"),)
+"""The same of the first entry of a list."""
+
+
 def _recognised(content: Any, path: Path) -> str:
     if content is None:
         return "motion"
+    parts: list[tuple[Any, Any]] = []
     if isinstance(content, Mapping):
-        if "easymocap" in content:
-            return "easymocap"
-        if "smpl_params_incam" in content:
-            return "gvhmr"
-        if "body_params_incam" in content:
-            return "gem"
-        if "pred_rotmat" in content:
-            return "tram"
-        if "smpl_poses" in content:
-            return "motion"
-        if "bodyPose" in content or "codecVersion" in content:
-            return "smpl"
-        if "people" in content and "camera" in content:
-            return "prompthmr"
-        first = next(iter(content.values()), None)
-        if isinstance(first, Mapping) and {"pose", "trans", "betas"} <= set(first):
-            return "wham"
-        if isinstance(first, Mapping) and {"pose", "orig_cam", "betas"} <= set(first):
-            return "vibe"
-        if isinstance(first, Mapping) and {"smpl", "camera"} <= set(first):
-            return "4d-humans"
-    if (
-        isinstance(content, list)
-        and content
-        and isinstance(content[0], Mapping)
-        and "pose_rotvecs" in content[0]
-    ):
-        return "nlf"
+        parts = [(content, _OF_FILE), (next(iter(content.values()), None), _OF_FIRST)]
+    elif isinstance(content, list) and content:
+        parts = [(content[0], _OF_ROW)]
+    for part, marks in parts:
+        for keys, tool in marks:
+            if isinstance(part, Mapping) and keys <= set(part):
+                return tool
     raise DataError(f"{path}: is not of a known tool; say which with --from TOOL FILE: {', '.join(TOOLS)}.")
 
 
@@ -180,37 +184,68 @@ def _in_camera(block: str) -> Callable[..., Found]:
     return read
 
 
-def _wham(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
-    rows = _person({k: v for k, v in content.items() if isinstance(v, Mapping)}, "frame_ids", path, person)
-    poses, where = _numbers(rows, "pose", 72, str(path)), str(path)
-    return Found(
-        "wham", _numbers(rows, "frame_ids", 1, where)[:, 0].astype(np.int64),
-        _shape(_numbers(rows, "betas", 10, where)), poses[:, :3], poses[:, 3:], _numbers(rows, "trans", 3, where),
-        _diagonal(size),
-    )  # fmt: skip
+def _tracked(tool: str) -> Callable[..., Found]:
+    """Returns the reader of WHAM's or VIBE's people, which differ in the camera alone."""
+
+    def read(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
+        rows = _person(
+            {k: v for k, v in content.items() if isinstance(v, Mapping)}, "frame_ids", path, person
+        )
+        where = str(path)
+        poses = _numbers(rows, "pose", 72, where)
+        if tool == "vibe":
+            K, transl = _weakly(_numbers(rows, "orig_cam", 4, where), size, where)
+        else:
+            K, transl = _diagonal(size), _numbers(rows, "trans", 3, where)
+        return Found(
+            tool, _numbers(rows, "frame_ids", 1, where)[:, 0].astype(np.int64),
+            _shape(_numbers(rows, "betas", 10, where)), poses[:, :3], poses[:, 3:], transl, K,
+            (_LONG_LENS,) if tool == "vibe" else (),
+        )  # fmt: skip
+
+    return read
 
 
-def _vibe(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
-    rows = _person({k: v for k, v in content.items() if isinstance(v, Mapping)}, "frame_ids", path, person)
-    where = str(path)
-    poses = _numbers(rows, "pose", 72, where)
-    K, transl = places(_numbers(rows, "orig_cam", 4, where), size, where)
-    return Found(
-        "vibe", _numbers(rows, "frame_ids", 1, where)[:, 0].astype(np.int64),
-        _shape(_numbers(rows, "betas", 10, where)), poses[:, :3], poses[:, 3:], transl, K, (LONG_LENS,),
-    )  # fmt: skip
+def _weakly(cameras: Floats, size: tuple[int, int], where: str) -> tuple[Floats, Floats]:
+    """Returns intrinsics `[3, 3]` and places of the body `[N, 3]`, metres, that draw it as weak perspective does.
+
+    Many tools say where a person is by a scale and a shift, and no distance: a point of the body is drawn at
+    `s (x + t)`, in shares of half the picture from its middle; how deep it lies does not matter. No camera that we
+    render with does that, but one far away with a long lens nearly does: it is off by the depth over the distance,
+    under one percent of the way from the middle.
+
+    Args:
+        cameras: `[N, 4]`: scales along x and y, in halves of the picture a metre, then shifts, metres.
+        size: width and height of the picture, pixels.
+        where: the file, for messages.
+
+    Raises:
+        DataError: a scale is none, or the two are of another picture's shape.
+    """
+    scales, shifts = cameras[:, :2], cameras[:, 2:]
+    metre = scales * np.array(size) / 2  # pixels
+    with np.errstate(invalid="ignore"):
+        wrong = ~(metre > 1e-3).all(axis=1) | ~(np.abs(metre[:, 0] / metre[:, 1] - 1) < 0.02)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        x, y = metre[row]
+        raise DataError(
+            f"{where}, row {row}: a metre of {x:g} x {y:g} px is none in pictures of {size[0]} x {size[1]}: is "
+            "the file of this clip?"
+        )
+    K = centred(_LENS * max(size), size)
+    return K, np.column_stack([shifts, K[0, 0] / metre[:, 0]])
 
 
 def _tram(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person: int | None) -> Found:
     where = str(path)
-    rotations = _numbers(content, "pred_rotmat", 24 * 9, where).reshape(-1, 24, 3, 3)
-    poses = _vectors(rotations)
+    poses = _vectors(_numbers(content, "pred_rotmat", 24 * 9, where).reshape(-1, 24, 3, 3))
     K, camera = None, path.parent.parent / "camera.npy"
     if camera.is_file():
         table = load_npy(camera)
         focal = float(checks.numbers(table["img_focal"], 1, f"{camera}, img_focal")[0])
         middle = checks.numbers(table["img_center"], 2, f"{camera}, img_center")
-        K = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1.0]])
+        K = pinhole(focal, focal, *middle)
     return Found(
         "tram", _numbers(content, "frame", 1, where)[:, 0].astype(np.int64),
         _shape(_numbers(content, "pred_shape", 10, where)), poses[:, 0], poses[:, 1:].reshape(-1, 69),
@@ -227,21 +262,16 @@ def _phalp(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, pers
     kept = _person({tid: {"frames": seen} for tid, seen in rows.items()}, "frames", path, person)["frames"]
     # PHALP lays the picture into a square of its longer side and supposes 5000 px of focal length at 256 px
     K = centred(5000.0 / 256.0 * max(size), size)
-    rotations = np.stack(
-        [
-            np.concatenate(
-                [np.reshape(s["global_orient"], (1, 3, 3)), np.reshape(s["body_pose"], (23, 3, 3))]
-            )
-            for _, s, _ in kept
-        ]
-    ).astype(np.float64)
-    poses = _vectors(rotations)
+    parts = [(np.reshape(s["global_orient"], 9), np.reshape(s["body_pose"], 23 * 9)) for _, s, _ in kept]
+    poses = _vectors(
+        np.stack([np.concatenate(part) for part in parts]).astype(np.float64).reshape(-1, 24, 3, 3)
+    )
     return Found(
         "4d-humans", np.array([k for k, _, _ in kept]),
         _shape(np.stack([np.reshape(s["betas"], 10) for _, s, _ in kept]).astype(np.float64)),
         poses[:, 0], poses[:, 1:].reshape(-1, 69),
         np.stack([np.reshape(c, 3) for _, _, c in kept]).astype(np.float64), K,
-        (LONG_LENS,),
+        (_LONG_LENS,),
     )  # fmt: skip
 
 
@@ -255,11 +285,10 @@ def _prompthmr(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, 
     focal = float(_numbers(content["camera"], "img_focal", 1, f"{path}, camera")[0, 0])
     middle = _numbers(content["camera"], "img_center", 2, f"{path}, camera")[0]
     shrunk = size[0] / (2 * middle[0])  # the pipeline makes pictures at most 896 high
-    K = np.array([[focal * shrunk, 0, size[0] / 2], [0, focal * shrunk, size[1] / 2], [0, 0, 1.0]])
     return Found(
         "prompthmr", _numbers(rows, "frames", 1, str(path))[:, 0].astype(np.int64),
         _shape(_numbers(part, "shape", 10, where)), poses[:, :3], _whole_pose(poses[:, 3:]),
-        _numbers(part, "trans", 3, where), K, (_SMPLX,),
+        _numbers(part, "trans", 3, where), centred(focal * shrunk, size), (_SMPLX,),
     )  # fmt: skip
 
 
@@ -285,8 +314,7 @@ def _nlf(content: Any, path: Path, size: tuple[int, int], pelvis: Pelvis, person
     focal = 0.5 * max(size) / math.tan(math.radians(_NLF_FIELD) / 2)
     return Found(
         "nlf", np.array([row[0] for row in kept]), _shape(np.stack([row[2] for row in kept])), poses[:, :3],
-        poses[:, 3:], np.stack([row[3] for row in kept]),
-        np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]]),
+        poses[:, 3:], np.stack([row[3] for row in kept]), centred(focal, size),
         (f"its camera is taken to see {_NLF_FIELD} degrees and to stand still, the pipeline's own start.",),
     )  # fmt: skip
 
@@ -348,15 +376,15 @@ def _person(people: Mapping[Any, Any], key: str, path: Path, person: int | None)
 def _vectors(rotations: Floats) -> Floats:
     from scipy.spatial.transform import Rotation
 
-    shape = rotations.shape[:-2]
-    return np.asarray(Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec().reshape(*shape, 3))
+    turns = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec()
+    return np.asarray(turns.reshape(*rotations.shape[:-2], 3))
 
 
 TOOLS: dict[str, Callable[[Any, Path, tuple[int, int], Pelvis, int | None], Found]] = {
     "gvhmr": _in_camera("smpl_params_incam"),
     "gem": _in_camera("body_params_incam"),
-    "wham": _wham,
-    "vibe": _vibe,
+    "wham": _tracked("wham"),
+    "vibe": _tracked("vibe"),
     "tram": _tram,
     "4d-humans": _phalp,
     "prompthmr": _prompthmr,

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from occfusion.errors import DataError
 from occfusion.files.arrays import load_npz
 from occfusion.files.jsonfile import load_json
-from occfusion.footage.camera import Intrinsics
+from occfusion.footage.camera import Intrinsics, centred, pinhole
 from occfusion.footage.clip import Shot
 
 Floats = NDArray[np.float64]
@@ -80,10 +80,6 @@ def read_intrinsics(path: Path, shot: Shot) -> tuple[Intrinsics, list[str]]:
 Read = tuple[Floats, tuple[float, float] | None, list[float]]
 
 
-def _matrix(fx: float, fy: float, cx: float, cy: float) -> Floats:
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-
-
 def _npz(path: Path) -> Read:
     content = load_npz(path, ("intrinsic", "width", "height", "pixel_centres"))
     if "intrinsic" not in content or np.shape(content["intrinsic"])[-2:] != (3, 3):
@@ -123,7 +119,7 @@ def _colmap(path: Path) -> Read:
     if not rows or len(sizes) > 1:
         raise DataError(f"{path}: {'has no camera' if not rows else 'has cameras of several sizes'}.")
     middle = [float(np.median([row[k] for row in rows if len(row) > k])) for k in range(max(map(len, rows)))]
-    return _matrix(*middle[:4]), sizes.pop(), middle[4:]
+    return pinhole(*middle[:4]), sizes.pop(), middle[4:]
 
 
 def _json(path: Path) -> Read:
@@ -149,16 +145,16 @@ def _said(content: Mapping[str, Any], path: Path) -> Read:
             raise ValueError("fl_x without cx, cy, w, h")
         cx, cy = (m if m is not None else size[k] / 2 for k, m in enumerate(middle))  # type: ignore[index]
         fx = float(content["fl_x"])
-        return _matrix(fx, float(content.get("fl_y", fx)), cx, cy), size, lens
+        return pinhole(fx, float(content.get("fl_y", fx)), cx, cy), size, lens
     if "camera_angle_x" in content:
         if size is None:
             raise ValueError("camera_angle_x without w and h: add the pictures' size")
         f = 0.5 * size[0] / math.tan(0.5 * float(content["camera_angle_x"]))
-        return _matrix(f, f, size[0] / 2, size[1] / 2), size, lens
+        return centred(f, size), size, lens
     # calibration programs count the middle of the first pixel as 0
     if "fx" in content:
         fx = float(content["fx"])
-        return _matrix(fx, float(content.get("fy", fx)), content["cx"] + 0.5, content["cy"] + 0.5), size, lens
+        return pinhole(fx, float(content.get("fy", fx)), content["cx"] + 0.5, content["cy"] + 0.5), size, lens
     key = next((key for key in _MATRICES if key in content), None)
     if key is None:
         raise ValueError(

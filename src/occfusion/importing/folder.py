@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +20,9 @@ from occfusion.fitting.pipeline import Fit
 from occfusion.fitting.quality import overlay, posed
 from occfusion.footage.people import ranges
 from occfusion.human import Body
+from occfusion.human.body import EMBEDDED_BODY
 from occfusion.importing.sources import Sources
+from occfusion.synth.fullbody import asset_bytes
 
 Picture = NDArray[np.uint8]
 
@@ -61,22 +65,15 @@ def write_folder(
     """
     require_free(output)
     output.parent.mkdir(parents=True, exist_ok=True)
-    partial = output.with_name(f".{output.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    try:
-        _write(partial, sources, fit, body, embedded)
-        report = {**facts, **_report(sources, fit)}
-        write_json(partial / REPORT, report)
-        write_bytes(partial / "import.txt", "\n".join(_lines(report)).encode() + b"\n")
+    with _unfinished(output.with_name(f".{output.name}.partial"), output) as partial:
+        _write_fit(partial, sources, fit, body, embedded, 1.0)
+        for k, picture in enumerate(sources.shot.pictures):
+            write_png(partial / "images" / f"{k:06d}.png", picture)
+            write_png(partial / "masks" / f"{k:06d}.png", _numbered(sources, k))
+        _write_report(partial / REPORT, {**facts, **_report(sources, fit)})
         if output.exists():
             shutil.rmtree(output)
         partial.rename(output)
-    except OSError as error:
-        raise DataError(
-            f"{output}: cannot be written ({error.strerror or error}); check space and rights."
-        ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def write_bodies(
@@ -90,30 +87,27 @@ def write_bodies(
         DataError: it cannot be written.
     """
     output.mkdir(parents=True, exist_ok=True)
-    partial = output / ".fit.partial"
-    shutil.rmtree(partial, ignore_errors=True)
-    try:
+    with _unfinished(output / ".fit.partial", output) as partial:
         _write_fit(partial, sources, fit, body, embedded, sources.shot.scale)
-        report = {**facts, **_report(sources, fit)}
-        write_json(partial / FIT_REPORT, report)
-        write_bytes(partial / "fit.txt", "\n".join(_lines(report)).encode() + b"\n")
+        _write_report(partial / FIT_REPORT, {**facts, **_report(sources, fit)})
         if (output / "cameras.npz").exists():
             (partial / "cameras.npz").unlink()
         for file in sorted(partial.iterdir()):
             file.replace(output / file.name)
+
+
+@contextmanager
+def _unfinished(partial: Path, output: Path) -> Iterator[Path]:
+    """Yields a folder for what is not whole yet, gone afterwards; says of `output` what the disk refuses."""
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        yield partial
     except OSError as error:
         raise DataError(
             f"{output}: cannot be written ({error.strerror or error}); check space and rights."
         ) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-
-
-def _write(folder: Path, sources: Sources, fit: Fit, body: Body, embedded: bool) -> None:
-    _write_fit(folder, sources, fit, body, embedded, 1.0)
-    for k, picture in enumerate(sources.shot.pictures):
-        write_png(folder / "images" / f"{k:06d}.png", picture)
-        write_png(folder / "masks" / f"{k:06d}.png", _numbered(sources, k))
 
 
 def _write_fit(folder: Path, sources: Sources, fit: Fit, body: Body, embedded: bool, scale: float) -> None:
@@ -129,13 +123,7 @@ def _write_fit(folder: Path, sources: Sources, fit: Fit, body: Body, embedded: b
             transl=solution.transl,
         )  # fmt: skip
     if embedded:
-        from importlib import resources
-
-        from occfusion.human.body import EMBEDDED_BODY
-
-        write_bytes(
-            folder / "body.npz", (resources.files("occfusion") / "assets" / EMBEDDED_BODY).read_bytes()
-        )
+        write_bytes(folder / "body.npz", asset_bytes(EMBEDDED_BODY))
     times = np.asarray(sources.shot.seconds)
     gap = float(np.median(np.diff(times))) if len(times) > 1 and not sources.clip.pictures else 0.1
     write_frames(
@@ -167,17 +155,15 @@ def overlays(
 
 
 def _sheet(sources: Sources, fit: Fit, body: Body) -> Picture:
-    import cv2
-
     chosen = sorted({int(k) for k in np.linspace(0, len(sources.shot) - 1, SHEET).round()})
     pictures = list(overlays(sources, fit, body, chosen))
     scale = 360 / pictures[0].shape[0]
     small = [
         np.asarray(cv2.resize(p, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)) for p in pictures
     ]
-    while len(small) % 2:
+    if len(small) % 2:
         small.append(np.zeros_like(small[0]))
-    half = (len(small) + 1) // 2
+    half = len(small) // 2
     return np.vstack([np.hstack(small[:half]), np.hstack(small[half:])]).astype(np.uint8)
 
 
@@ -199,6 +185,12 @@ def _report(sources: Sources, fit: Fit) -> dict[str, Any]:
         "losses": fit.solution.losses,
         "notes": sources.notes,
     }
+
+
+def _write_report(path: Path, report: dict[str, Any]) -> None:
+    """Writes a report, and beside it the same in words."""
+    write_json(path, report)
+    write_bytes(path.with_suffix(".txt"), "\n".join(_lines(report)).encode() + b"\n")
 
 
 def _plain(values: NDArray[np.float64]) -> list[float | None]:

@@ -32,7 +32,8 @@ def told_apart(
     if sources.hidden is not None:
         return sources, fit
     hidden = found_occluders(body, fit.solution, sources.masks)
-    if hidden is None and (covered_share(fit.quality) or 1.0) > SUSPECT:
+    covered = covered_share(fit.quality)
+    if hidden is None and (covered is None or covered > SUSPECT):
         return sources, fit
     # the first fit was pushed out of what hides the person: key points alone say where the body goes on
     free = refit(replace(sources, masks=[]))

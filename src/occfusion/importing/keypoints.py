@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.jsonfile import load_json
 from occfusion.footage.camera import Intrinsics
-from occfusion.footage.clip import Clip, Shot
+from occfusion.footage.clip import Clip, Shot, natural
 from occfusion.footage.landmarks import COUNT, INDEX, KeyPoints
 from occfusion.importing import mhr
-from occfusion.importing.matching import natural, places_of
+from occfusion.importing.matching import coco_entries, places_of
 
 Floats = NDArray[np.float64]
 
@@ -119,9 +119,8 @@ def camera_in(path: Path, shot: Shot) -> Intrinsics | None:
     seen = [person for file in mhr.files_of(path) for person in mhr.people_of(file)]
     if not seen:
         return None
-    K = mhr.camera_of(
-        np.concatenate([flat for flat, _, _ in seen]), np.concatenate([at for _, _, at in seen])
-    )
+    flat, _, at = (np.concatenate(part) for part in zip(*seen, strict=True))
+    K = mhr.camera_of(flat, at)
     return Intrinsics(np.diag([shot.scale, shot.scale, 1.0]) @ K, True, f"key points of {path.name}")
 
 
@@ -139,32 +138,20 @@ def _rows(path: Path, size: tuple[float, float]) -> dict[str, list[Person]]:
             raise DataError(f"{path}: holds no .json files.")
         return {f.stem.removesuffix("_keypoints"): _frame(load_json(f), str(f), size) for f in files}
     content = load_json(path)
-    if isinstance(content, Mapping) and isinstance(content.get("annotations"), list):
-        names = {image["id"]: Path(str(image["file_name"])).stem for image in content.get("images", [])}
-        return _listed(content["annotations"], path, names)
+    if (entries := coco_entries(content, "keypoints", path)) is not None:
+        out: dict[str, list[Person]] = {}
+        for k, (name, row) in enumerate(entries):
+            found = _person(row["keypoints"], f"{path}, entry {k}", row.get("idx", row.get("track_id")))
+            out.setdefault(name, []).extend([] if found is None else [found])
+        return out
     if isinstance(content, Mapping) and isinstance(content.get("instance_info"), list):  # MMPose's inferencer
         content = content["instance_info"]
     if isinstance(content, list) and content:
-        if isinstance(content[0], Mapping) and "image_id" in content[0]:
-            return _listed(content, path, {})
         return {str(k): _frame(row, f"{path}, entry {k}", size) for k, row in enumerate(content)}
     raise DataError(
         f"{path}: no key points of a known form: a list of image_id and keypoints (COCO, AlphaPose), of MediaPipe's "
         "results, or a folder of OpenPose's files."
     )
-
-
-def _listed(rows: Sequence[Any], path: Path, names: Mapping[Any, str]) -> dict[str, list[Person]]:
-    out: dict[str, list[Person]] = {}
-    for k, row in enumerate(rows):
-        where = f"{path}, entry {k}"
-        if not isinstance(row, Mapping) or "image_id" not in row or "keypoints" not in row:
-            raise DataError(f"{where}: has no image_id or no keypoints.")
-        image = row["image_id"]
-        name = names.get(image, Path(image).stem if isinstance(image, str) else str(image))
-        found = _person(row["keypoints"], where, row.get("idx", row.get("track_id")))
-        out.setdefault(name, []).extend([] if found is None else [found])
-    return out
 
 
 def _frame(content: Any, where: str, size: tuple[float, float]) -> list[Person]:
@@ -176,10 +163,15 @@ def _frame(content: Any, where: str, size: tuple[float, float]) -> list[Person]:
         points = [_person(p.get("pose_keypoints_2d"), f"{where}, person {k}") for k, p in enumerate(people)]
         return [p for p in points if p is not None]
     if isinstance(content, Mapping) and isinstance(content.get("instances"), list):
-        flat = [
-            np.column_stack([one["keypoints"], one["keypoint_scores"]]).ravel()
-            for one in content["instances"]
-        ]
+        try:
+            flat = [
+                np.column_stack([one["keypoints"], one["keypoint_scores"]]).ravel()
+                for one in content["instances"]
+            ]
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(
+                f"{where}: an instance needs `keypoints`, [K, 2], and `keypoint_scores`, [K] ({error!r})."
+            ) from error
         return [p for p in (_person(f, where) for f in flat) if p is not None]
     if isinstance(content, list) and content and isinstance(content[0], Mapping) and "x" in content[0]:
         content = {"landmarks": [content]}

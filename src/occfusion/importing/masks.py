@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from occfusion.errors import DataError
 from occfusion.files.images import MAX_LABEL, read_mask, read_numbers
 from occfusion.files.jsonfile import load_json
-from occfusion.footage.clip import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, Shot, open_clip, read_clip
-from occfusion.importing.matching import natural, places_of
+from occfusion.footage.clip import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, Shot, natural, open_clip, read_clip
+from occfusion.importing.matching import coco_entries, places_of
 
 Mask = NDArray[np.bool_]
 
@@ -111,11 +111,6 @@ def _require_one(path: Path) -> None:
         raise DataError(f"{path}: has the numbers {', '.join(map(str, values[values > 0]))}; {_CHOOSE}")
 
 
-def _united(masks: Sequence[Mask | None]) -> Mask | None:
-    there = [mask for mask in masks if mask is not None]
-    return np.logical_or.reduce(there) if there else None
-
-
 def _picture(path: Path, person: int | None) -> Mask:
     if person is not None:
         return np.asarray(read_numbers(path) == person)
@@ -141,41 +136,22 @@ def _runs(path: Path, clip: Clip, shot: Shot, person: int | None) -> list[Mask |
             if person is None and len(objects) > 1:
                 raise DataError(f"{path}: has {len(objects)} objects, numbered from 1; {_CHOOSE}")
             rows[str(k)] = list(objects) if person is None else list(objects[person - 1 : person])
-    elif isinstance(content, Mapping) and isinstance(content.get("annotations"), list):
-        names = {image["id"]: Path(str(image["file_name"])).stem for image in content.get("images", [])}
-        _by_image(content["annotations"], names, rows, person, path)
-    elif (
-        isinstance(content, list) and content and isinstance(content[0], Mapping) and "image_id" in content[0]
-    ):
-        _by_image(content, {}, rows, person, path)
+    elif (entries := coco_entries(content, "segmentation", path)) is not None:
+        for name, entry in entries:
+            kept = rows.setdefault(name, [])
+            if person is None or entry.get("track_id", entry.get("instance_id")) in (None, person):
+                kept.append(entry["segmentation"])
     elif isinstance(content, list):
         rows = {str(k): row if isinstance(row, list) else [row] for k, row in enumerate(content)}
     if not rows:
         raise DataError(f"{path}: has no masklet, no annotations, and is no list of run lengths.")
-    names_ = sorted(rows, key=natural)
+    names = sorted(rows, key=natural)
     found = []
-    for number, place in zip(shot.numbers, places_of(names_, clip, shot, str(path)), strict=True):
-        parts = [] if place is None else [row for row in rows[names_[place]] if row]
-        found.append(_united([decode(part, f"{path}, frame {number}") for part in parts]))
+    for number, place in zip(shot.numbers, places_of(names, clip, shot, str(path)), strict=True):
+        parts = [] if place is None else [row for row in rows[names[place]] if row]
+        masks = [decode(part, f"{path}, frame {number}") for part in parts]
+        found.append(np.logical_or.reduce(masks) if masks else None)
     return found
-
-
-def _by_image(
-    entries: Sequence[Any],
-    names: Mapping[Any, str],
-    rows: dict[str, list[Any]],
-    person: int | None,
-    path: Path,
-) -> None:
-    for k, entry in enumerate(entries):
-        if not isinstance(entry, Mapping) or "image_id" not in entry or "segmentation" not in entry:
-            raise DataError(f"{path}, entry {k}: has no image_id or no segmentation.")
-        track = entry.get("track_id", entry.get("instance_id"))
-        image = entry["image_id"]
-        name = names.get(image, Path(image).stem if isinstance(image, str) else str(image))
-        kept = rows.setdefault(name, [])
-        if person is None or track in (None, person):
-            kept.append(entry["segmentation"])
 
 
 def decode(runs: Any, where: str) -> Mask:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from occfusion.errors import DataError
 from occfusion.footage.clip import Clip, Shot
@@ -46,9 +48,32 @@ def places_of(names: Sequence[str], clip: Clip, shot: Shot, where: str) -> list[
     )
 
 
-def natural(name: str) -> list[tuple[int, str]]:
-    """Returns the key by which names are ordered as people count: 2 before 10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
+def coco_entries(content: Any, key: str, path: Path) -> list[tuple[str, Mapping[str, Any]]] | None:
+    """Returns the entries of COCO's results or annotations, each with its frame's name; None where it is no such file.
+
+    Args:
+        content: of the file.
+        key: that each entry must have.
+        path: the file, for messages.
+
+    Raises:
+        DataError: an entry has no image, or not this key.
+    """
+    names = {}
+    if isinstance(content, Mapping) and isinstance(content.get("annotations"), list):
+        names = {image["id"]: Path(str(image["file_name"])).stem for image in content.get("images", [])}
+        content = content["annotations"]
+    elif not (
+        isinstance(content, list) and content and isinstance(content[0], Mapping) and "image_id" in content[0]
+    ):
+        return None
+    found = []
+    for k, entry in enumerate(content):
+        if not isinstance(entry, Mapping) or "image_id" not in entry or key not in entry:
+            raise DataError(f"{path}, entry {k}: has no image_id or no {key}.")
+        image = entry["image_id"]
+        found.append((names.get(image, Path(image).stem if isinstance(image, str) else str(image)), entry))
+    return found
 
 
 def _last_number(name: str) -> int | None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from occfusion.errors import DataError
 from occfusion.files.arrays import load_npy, load_npz
+from occfusion.footage.camera import pinhole
 from occfusion.footage.landmarks import COUNT, INDEX
 
 Floats = NDArray[np.float64]
@@ -93,4 +94,4 @@ def camera_of(flat: Floats, there: Floats) -> Floats:
     zero, one = np.zeros(len(ray)), np.ones(len(ray))
     rows = np.concatenate([np.column_stack([ray[:, 0], one, zero]), np.column_stack([ray[:, 1], zero, one])])
     f, cx, cy = np.linalg.lstsq(rows, np.concatenate([flat[:, 0], flat[:, 1]]), rcond=None)[0]
-    return np.array([[f, 0, cx], [0, f, cy], [0, 0, 1.0]])
+    return pinhole(f, f, cx, cy)

@@ -111,6 +111,13 @@ class Sources:
     hidden: list[Mask] | None = None
     notes: list[str] = field(default_factory=list)
 
+    def at(self, places: Sequence[int]) -> Sources:
+        """Returns some of the frames."""
+        return replace(
+            self, shot=self.shot.at(places), points=self.points.at(places), masks=[self.masks[k] for k in places],
+            hidden=None if self.hidden is None else [self.hidden[k] for k in places],
+        )  # fmt: skip
+
 
 def read_pictures(path: Path | str, choice: Choice) -> tuple[Clip, Shot]:
     """Returns the chosen pictures of a clip, which must be one shot.
@@ -124,12 +131,8 @@ def read_pictures(path: Path | str, choice: Choice) -> tuple[Clip, Shot]:
         clip, every=choice.every, frames=frames, start=choice.start, stop=choice.stop, side=choice.side
     )
     if choice.rotate:
-        code = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}[
-            choice.rotate
-        ]
-        shot.pictures[:] = [
-            np.asarray(cv2.rotate(picture, code), dtype=np.uint8) for picture in shot.pictures
-        ]
+        turns = choice.rotate // 90
+        shot.pictures[:] = [np.ascontiguousarray(np.rot90(picture, -turns)) for picture in shot.pictures]
     count = min(len(shot), choice.frames or len(shot))
     if count < FEWEST:
         raise DataError(f"{clip.path}: {count} frames are chosen; an avatar needs {FEWEST} and more.")
@@ -187,13 +190,12 @@ def gather(
     given = given or Given()
     clip, shot = read_pictures(path, choice)
     notes = list(shot.notes)
-    implied = None
+    intrinsics: Intrinsics | None = None
     if given.camera is not None:
-        implied, said = read_intrinsics(given.camera, shot)
+        intrinsics, said = read_intrinsics(given.camera, shot)
         notes += said
     elif given.keypoints is not None and choice.focal is None:
-        implied = camera_in(given.keypoints, shot)
-    intrinsics = implied
+        intrinsics = camera_in(given.keypoints, shot)
     if intrinsics is None:
         intrinsics = find_intrinsics(
             shot.size, shot.scale, choice.focal, clip.pictures[0] if clip.pictures else None
@@ -216,12 +218,11 @@ def gather(
         notes.append(f"masks of {given.masks.name}.")
     if hidden is not None:
         masks = [mask & ~cover for mask, cover in zip(masks, hidden, strict=True)]
+    sources = Sources(clip, shot, points, masks, intrinsics, hidden, notes)
     if trimmed:
         seen = np.flatnonzero(points.presence > 0)
-        part = range(int(seen[0]), int(seen[-1]) + 1)
-        shot, points, masks = shot.at(part), points.at(part), [masks[k] for k in part]
-        hidden = None if hidden is None else [hidden[k] for k in part]
-    return Sources(clip, shot, points, masks, intrinsics, hidden, notes)
+        return sources.at(range(int(seen[0]), int(seen[-1]) + 1))
+    return sources
 
 
 def _alone(pictures: Sequence[NDArray[np.uint8]], masks: Sequence[Mask]) -> list[NDArray[np.uint8]]:

@@ -30,16 +30,16 @@ ALPHA, SEEN, VISIBLE, COMPLETE, BODY, DEPTH = 3, 7, 11, 12, 13, 14
 Planes = NDArray[np.float32]
 
 
-def take_planes(partial: Partial, size: int = SIZE) -> tuple[Square, Planes]:
-    """Returns the square around the body, and the planes of `PLANES` in it, `[15, size, size]`."""
+def take_planes(partial: Partial) -> tuple[Square, Planes]:
+    """Returns the square around the body, and the planes of `PLANES` in it, `[15, SIZE, SIZE]`."""
     observation = partial.observation
     camera = observation.camera
     viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
     pixels, depths = project_vertices(observation.vertices, viewmat, K)
     square = Square.around(pixels[depths > 0.01])
-    window = square.camera(camera, size)
+    window = square.camera(camera, SIZE)
     body = view_body(
-        *project_vertices(observation.vertices, viewmat, window.K.numpy()), observation.faces, size, size
+        *project_vertices(observation.vertices, viewmat, window.K.numpy()), observation.faces, SIZE, SIZE
     )
     whole = np.concatenate(
         [
@@ -49,14 +49,13 @@ def take_planes(partial: Partial, size: int = SIZE) -> tuple[Square, Planes]:
         ],
         axis=-1, dtype=np.float32,
     )  # fmt: skip
-    taken = [square.take(whole[..., k], size) for k in range(whole.shape[-1])]
+    taken = [square.take(whole[..., k], SIZE) for k in range(whole.shape[-1])]
     return square, np.stack([*taken, body.coverage, body.relative_depth]).astype(np.float32)
 
 
-def take_picture(square: Square, picture: NDArray[np.floating], size: int = SIZE) -> Planes:
-    """Returns a picture `[H, W, C]` in the square, `[C, size, size]`."""
-    taken = [square.take(picture[..., k].astype(np.float32), size) for k in range(picture.shape[-1])]
-    return np.stack(taken)
+def take_picture(square: Square, picture: NDArray[np.floating]) -> Planes:
+    """Returns a picture `[H, W, C]` in the square, `[C, SIZE, SIZE]`."""
+    return np.stack([square.take(plane.astype(np.float32), SIZE) for plane in np.moveaxis(picture, -1, 0)])
 
 
 KNEE = 0.015
@@ -83,9 +82,7 @@ class AppearanceNet(nn.Module):
     def forward(self, noisy: Tensor, t: Tensor, planes: Tensor) -> Tensor:
         """Returns v, `[B, 3, S, S]`, for `noisy [B, 3, S, S]`, `t [B]` and `planes [B, 15, S, S]`."""
         fine = torch.cat([noisy, planes], dim=1).contiguous(memory_format=torch.channels_last)
-        nothing = fine.new_zeros(len(fine), 0, fine.shape[2] // 4, fine.shape[3] // 4)
-        prediction: Tensor = self.net(fine, nothing, t)
-        return prediction
+        return self.net(fine, None, t)
 
 
 def to_signal(truth: Tensor, planes: Tensor) -> Tensor:

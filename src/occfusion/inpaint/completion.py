@@ -7,6 +7,7 @@ frame by frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -100,12 +101,7 @@ class ColorCompleter:
             seen: how well each vertex is known, `[V]`, 0..1.
         """
         planes = completion_planes(self.body, filled, filled, seen)[None].to(self.device)
-
-        def predict(noisy: Tensor, t: Tensor) -> Tensor:
-            prediction: Tensor = self.net(noisy, t, planes)
-            return prediction
-
-        settings = self.settings
+        predict, settings = partial(self.net, planes=planes), self.settings
         count = max(settings.draws, settings.samples)
         shape = (count, 1, len(FILLED), SIZE, SIZE)
         noise = torch.randn(shape, generator=torch.Generator().manual_seed(settings.seed)).to(self.device)

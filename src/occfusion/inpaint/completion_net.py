@@ -83,15 +83,13 @@ class CompletionNet(nn.Module):
     def forward(self, noisy: Tensor, t: Tensor, planes: Tensor) -> Tensor:
         """Returns v, `[B, 6, S, S]`, for `noisy [B, 6, S, S]`, `t [B]` and `planes [B, PLANES, S, S]`."""
         fine = torch.cat([noisy, planes], dim=1).contiguous(memory_format=torch.channels_last)
-        nothing = fine.new_zeros(len(fine), 0, fine.shape[2] // 4, fine.shape[3] // 4)
-        own, logits = self.net(fine, nothing, t).split([3 * SIDES, COPIES * SIDES], dim=1)
+        own, logits = self.net(fine, None, t).split([3 * SIDES, COPIES * SIDES], dim=1)
         filled = planes[:, FILLED].unflatten(1, (SIDES, 3))
         copies = torch.stack([filled, filled.flip(1), filled.flip(-1)], dim=2)  # [B, side, copy, 3, S, S]
         preferred = logits.new_tensor([OWN_FIRST, 0.0, 0.0])[:, None, None]
         shares = (logits.unflatten(1, (SIDES, COPIES)) + preferred).softmax(dim=2)
         copied = to_signal((shares[:, :, :, None] * copies).sum(dim=2).flatten(1, 2), planes)
-        result: Tensor = own - alpha_sigma(t)[1][:, None, None, None] * copied
-        return result
+        return own - alpha_sigma(t)[1][:, None, None, None] * copied
 
 
 @cache

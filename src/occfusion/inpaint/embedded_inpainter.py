@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -70,14 +71,10 @@ class EmbeddedInpainter(Inpainter):
         count = settings.samples or settings.draws
         generator = torch.Generator().manual_seed(settings.seed)
         noise = torch.randn(count, 3, SIZE, SIZE, generator=generator).to(self.device)
+        predict = partial(self.net, planes=planes)
         total = torch.zeros_like(planes[:, :3])
         for one in noise:  # one after the other: the memory of a single crop
             start = one.expand(len(planes), -1, -1, -1)
-
-            def predict(noisy: Tensor, t: Tensor) -> Tensor:
-                prediction: Tensor = self.net(noisy, t, planes)
-                return prediction
-
             total += (
                 sample(predict, start, settings.steps) if settings.samples else posterior_mean(predict, start)
             )

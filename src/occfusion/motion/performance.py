@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import torch
+from numpy.lib.stride_tricks import sliding_window_view
 from torch import Tensor
 
 from occfusion.geometry.skinning import blend, bone_transforms, posed_joints, skin_points
 from occfusion.human import Body
 from occfusion.motion.clip import Array, Clip
-from occfusion.motion.smoothing import least_nearby, smoothed
 from occfusion.types import Pose
 
 FLOOR_SECONDS = 2.0
@@ -23,6 +23,8 @@ _FOOT_JOINTS = (7, 8, 10, 11)
 _LEG = ((1, 4), (4, 7))
 _UNKNOWN_RATE = 30.0
 """Frames a second that windows of time go by where nobody says."""
+_REACH = 4.0
+"""Standard deviations at which the bell is cut off that series are smoothed by."""
 
 
 @dataclass(frozen=True)
@@ -97,15 +99,9 @@ def perform(clip: Clip, body: Body, betas: Tensor, legs: float | None = None) ->
     seen = joints @ upright[:3, :3].T + upright[:3, 3]
     roots = seen[:, 0]
     beside = seen - roots[:, None] * (1.0, 0.0, 1.0)
-    moved = Clip(**{**vars(clip), "transl": transl})
-    return Performance(
-        moved,
-        betas,
-        torch.from_numpy(upright).float(),
-        roots,
-        beside.min(axis=(0, 1)),
-        beside.max(axis=(0, 1)),
-    )
+    low, high = beside.min(axis=(0, 1)), beside.max(axis=(0, 1))
+    moved = replace(clip, transl=transl)
+    return Performance(moved, betas, torch.from_numpy(upright).float(), roots, low, high)
 
 
 def at_rest(low: Array, high: Array) -> Performance:
@@ -144,6 +140,35 @@ def _floor(lowest: Array, fps: float) -> Array:
     """Returns the height of the floor at each frame, `[T]`: the least within a window of time, smoothed."""
     window = max(round(FLOOR_SECONDS * fps), 1)
     return smoothed(least_nearby(lowest, window), window / 4)
+
+
+def smoothed(series: Array, deviation: float) -> Array:
+    """Returns a series under a Gaussian bell; beyond its ends it is taken to be as at its ends.
+
+    Args:
+        series: `[T, ...]`.
+        deviation: of the bell, steps.
+    """
+    radius = int(_REACH * deviation + 0.5)
+    bell = np.exp(-0.5 * (np.arange(-radius, radius + 1) / deviation) ** 2) if radius else np.ones(1)
+    return np.asarray(_windows(series, radius, radius) @ (bell / bell.sum()))
+
+
+def least_nearby(series: Array, window: int) -> Array:
+    """Returns the least value within a window around each step.
+
+    Args:
+        series: `[T, ...]`.
+        window: steps; of an even number there is one more before than after.
+    """
+    before = window // 2
+    return np.asarray(_windows(series, before, window - 1 - before).min(axis=-1))
+
+
+def _windows(series: Array, before: int, after: int) -> Array:
+    """Returns what is around each step, `[T, ..., before + 1 + after]`."""
+    beyond = [(before, after), *[(0, 0)] * (series.ndim - 1)]
+    return sliding_window_view(np.pad(series, beyond, mode="edge"), before + 1 + after, axis=0)
 
 
 def _upright(joints: Array, up: Array, floor: float) -> Array:

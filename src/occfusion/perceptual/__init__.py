@@ -1,8 +1,13 @@
 """Perceptual distances with published weights."""
 
 from occfusion.perceptual.crop import random_crop_box
-from occfusion.perceptual.metric import Features, PerceptualMetric, load_perceptual
-from occfusion.perceptual.precision import PRECISIONS, training_dtype
+from occfusion.perceptual.metric import (
+    PRECISIONS,
+    Features,
+    PerceptualMetric,
+    load_perceptual,
+    training_dtype,
+)
 
 __all__ = [
     "PRECISIONS",

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from occfusion.errors import ConfigError
+from occfusion.geometry.boxes import mask_bounds
 from occfusion.perceptual.network import VggFeatures
 from occfusion.perceptual.surround import BlackSurround, mean_distance
 from occfusion.perceptual.weights import MetricWeights, load_lpips, load_stlpips
@@ -22,6 +24,9 @@ WORTH_IT = 0.6
 """Share of the lit pixels' box above which nothing is taken as known."""
 Features = list[Tensor]
 """Unit-length features of a picture, `[h, w, C]` for each of the five blocks."""
+PRECISIONS = ("float32", "bfloat16", "auto")
+NATIVE = ("avx512_bf16", "amx_bf16")
+"""Names in `torch.cpu.get_capabilities` of instructions that multiply bfloat16; without them it is slower."""
 
 
 class PerceptualMetric(nn.Module):
@@ -89,11 +94,10 @@ class PerceptualMetric(nn.Module):
         lit = ((a.clamp(0, 1) != 0) | (b.clamp(0, 1) != 0)).any(dim=2)  # what is not a number is lit
         if bool(lit.all()):
             return self(a, b)  # nothing is black
-        rows, columns = lit.any(dim=1).nonzero(), lit.any(dim=0).nonzero()
-        if len(rows) == 0:
+        if (bounds := mask_bounds(lit)) is None:
             return a.new_zeros(())
-        h, w = int(rows[-1] - rows[0]) + 1, int(columns[-1] - columns[0]) + 1
-        if h * w > WORTH_IT * lit.numel():
+        left, top, right, bottom = bounds
+        if (right - left) * (bottom - top) > WORTH_IT * lit.numel():
             lit = torch.ones_like(lit)
         pictures = torch.stack([a, b]).float().clamp(0, 1).permute(0, 3, 1, 2)
         pictures = pictures * 2 - 1 if self.centred else pictures
@@ -182,3 +186,23 @@ def load_perceptual(
 def unit_name(name: str) -> str:
     """Returns what a metric is called when it is fed with 0..1."""
     return name.replace("(VGG)", "(VGG, inputs 0..1)")
+
+
+def training_dtype(precision: str, device: torch.device) -> torch.dtype:
+    """Returns the type of the term's network: for `auto` bfloat16 where the device multiplies it natively.
+
+    Raises:
+        ConfigError: an unknown name.
+    """
+    if precision not in PRECISIONS:
+        raise ConfigError(f"perceptual.precision={precision}: choose one of {', '.join(PRECISIONS)}")
+    if precision == "float32" or (precision == "auto" and not _is_native(device)):
+        return torch.float32
+    return torch.bfloat16
+
+
+def _is_native(device: torch.device) -> bool:
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    known: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
+    return device.type == "cpu" and any(known.get(name, False) for name in NATIVE)

@@ -154,15 +154,16 @@ class BlackSurround:
     def _maps_of_black(self, height: int, width: int, black: float) -> list[Array]:
         """Returns every step's map `[h, w, C/64, 64]` of a small black picture whose borders are like a large one's."""
         key = small(height), small(width), black
-        if key not in self._black:
+        maps = self._black.get(key)
+        if maps is None:
             pictures = torch.full((1, 3, *key[:2]), black)
-            felt, current, maps = torch.ones(key[:2], dtype=torch.bool), None, []
+            felt, current, maps = torch.ones(key[:2], dtype=torch.bool), None, list[Array]()
             for step in steps():
                 felt = self._network.reach(felt, pools=step == POOL)
                 current = self._step(step, current, pictures, felt, None)
                 maps.append(current.values[0])
-            self._black = {key: maps}  # pictures of one evaluation are of one size
-        return self._black[key]
+            self._black = {key: maps}  # pictures of one evaluation are mostly of one size
+        return maps
 
 
 def steps() -> list[str]:

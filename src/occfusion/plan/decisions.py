@@ -69,9 +69,7 @@ def is_alignment_asked(settings: Settings) -> bool:
 
 
 def network_decisions(
-    settings: Settings,
-    observed_frames: Sequence[ObservedFrame] | None,
-    alignment: Alignment | None = None,
+    settings: Settings, observed_frames: Sequence[ObservedFrame] | None, alignment: Alignment | None = None
 ) -> list[Decision]:
     """Returns the decisions on pose refinement, corrections frame by frame, and the skinning network, in this order.
 
@@ -88,21 +86,20 @@ def network_decisions(
         ),
         Decision("skinning network", optim.learn_skinning, f"optim.learn_skinning = {optim.learn_skinning}"),
     ]
-    if alignment is not None and not alignment.is_taken and settings.plan == "needed":
-        why = "outlines do not say that poses are off"
-        return [replace(d, used=False, reason=f"{d.reason}; {why}") for d in decisions]
     if alignment is not None and settings.plan == "needed":
-        why = "poses are aligned with outlines, and mended frame by frame as far as the video tells"
-        left = [replace(d, used=False, reason=f"{d.reason}; {why}") for d in (decisions[0], decisions[2])]
-        return [left[0], decisions[1], left[1]]
+        why = "outlines do not say that poses are off"
+        if alignment.is_taken:
+            why = "poses are aligned with outlines, and mended frame by frame as far as the video tells"
+        left = [replace(d, used=False, reason=f"{d.reason}; {why}") for d in decisions]
+        return [left[0], decisions[1], left[2]] if alignment.is_taken else left
     measured = misfit_of(observed_frames)
     if not may_leave_out_networks(settings) or measured is None:
         return decisions
     misfit, count = measured
     shown = (
-        f"{misfit:.3%} of the body lies outside the mask (median of {count} frames that show a whole person)"
+        f"{misfit:.3%} of the body lies outside the mask (median of {count} frames that show a whole person); "
+        f"{FITTING:.2%} would need mending"
     )
-    shown += f"; {FITTING:.2%} would need mending"
     return [replace(d, used=d.used and misfit >= FITTING, reason=f"{d.reason}; {shown}") for d in decisions]
 
 
@@ -202,9 +199,8 @@ def box_reason(observed_frames: Sequence[ObservedFrame] | None) -> str:
         low = np.clip(pixels.min(axis=0) - BOX_PADDING, 0, (width, height))
         high = np.clip(pixels.max(axis=0) + BOX_PADDING, 0, (width, height))
         shares.append(float(np.prod(high - low)) / (width * height))
-    return (
-        f"{reason}; the body's box is {np.mean(shares):.0%} of the picture in the mean of the training frames"
-    )
+    box = f"the body's box is {np.mean(shares):.0%} of the picture"
+    return f"{reason}; {box} in the mean of the training frames"
 
 
 def may_leave_to_refinement(settings: Settings) -> bool:

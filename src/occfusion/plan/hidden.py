@@ -114,10 +114,8 @@ def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] |
         median = float(np.median(shares))
         if median <= MOSTLY_HIDDEN:
             known = f"all {len(shares)} occluded frames get complete masks, and half of them show at least"
-            reasons = [
-                f"{reason}; {known} {1 - median:.0%} of the body: it changed nothing then"
-                for reason in reasons
-            ]
+            known += f" {1 - median:.0%} of the body: it changed nothing then"
+            reasons = [f"{reason}; {known}" for reason in reasons]
             used = [False, False]
     names = ("loss term sds_pose", "loss term sds_can")
     return [Decision(*parts) for parts in zip(names, used, reasons, strict=True)]
@@ -200,10 +198,7 @@ def _is_taken(alignment: Alignment | None) -> bool:
 
 def with_everything(observed_frames: Sequence[ObservedFrame]) -> list[ObservedFrame]:
     """Returns the observed_frames with each frame counted as occluded, for `plan=full`."""
-    return [
-        replace(observed_frame, evidence=replace(observed_frame.evidence, occluded=True))
-        for observed_frame in observed_frames
-    ]
+    return [replace(frame, evidence=replace(frame.evidence, occluded=True)) for frame in observed_frames]
 
 
 def _occluded(observed_frames: Sequence[ObservedFrame]) -> int:
@@ -212,11 +207,6 @@ def _occluded(observed_frames: Sequence[ObservedFrame]) -> int:
 
 def _hidden_reason(observed_frames: Sequence[ObservedFrame]) -> str:
     hiding = sum(observed_frame.evidence.hidden_share > HIDDEN_SHARE for observed_frame in observed_frames)
-    reason = (
-        f"{hiding} of {len(observed_frames)} training frames hide more than {HIDDEN_SHARE:.0%} of the body"
-    )
-    return (
-        reason
-        if _occluded(observed_frames) <= hiding
-        else f"{reason}; plan=full takes all of them for occluded"
-    )
+    frames = f"{hiding} of {len(observed_frames)} training frames"
+    all_taken = "; plan=full takes all of them for occluded" if _occluded(observed_frames) > hiding else ""
+    return f"{frames} hide more than {HIDDEN_SHARE:.0%} of the body{all_taken}"

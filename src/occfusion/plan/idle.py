@@ -28,10 +28,8 @@ def idle_settings(given: Iterable[str], settings: Settings, plan: Plan) -> list[
         key, _, value = word.lstrip("+~").partition("=")
         if "." not in key:  # a choice of a group, which sets what the user may not have thought of
             continue
-        why = next(
-            (reason for prefix, reason in rules if key == prefix or key.startswith(f"{prefix}.")), None
-        )
-        if why is not None:
+        reasons = (why for prefix, why in rules if key == prefix or key.startswith(f"{prefix}."))
+        if (why := next(reasons, None)) is not None:
             told.append(f"{key}={value}: {why}")
     return told
 
@@ -59,12 +57,12 @@ def _rules(settings: Settings, plan: Plan) -> Iterator[tuple[str, str]]:
                 yield f"optim.sds.lambda_{name}", left_out
     yield from _of_prior(settings, plan)
     occlusion = settings.dataset.occlusion
-    if occlusion.kind == "none":
+    if occlusion.kind == "none" or _hides_nothing(occlusion, str(settings.dataset.scene)):
+        why = "nothing is hidden: a share, a fraction or a width is 0"
+        if occlusion.kind == "none":
+            why = "dataset.occlusion.kind=none hides nothing"
         for name in SHAPES_OF_OCCLUSION:
-            yield f"dataset.occlusion.{name}", "dataset.occlusion.kind=none hides nothing"
-    elif _hides_nothing(occlusion, str(settings.dataset.scene)):
-        for name in SHAPES_OF_OCCLUSION:
-            yield f"dataset.occlusion.{name}", "nothing is hidden: a share, a fraction or a width is 0"
+            yield f"dataset.occlusion.{name}", why
     if not settings.evaluation.perceptual:
         for name in ("perceptual_every", "perceptual_inputs"):
             yield f"evaluation.{name}", "evaluation.perceptual=false"
@@ -76,7 +74,7 @@ def _rules(settings: Settings, plan: Plan) -> Iterator[tuple[str, str]]:
 
 def _hides_nothing(occlusion: OcclusionSettings, scene: str) -> bool:
     """Returns whether a simulated occlusion has no extent, or no frame."""
-    if occlusion.kind in ("none", "files"):
+    if occlusion.kind == "files":
         return False
     if occlusion.until == 0 or (occlusion.until is None and occlusion.fraction == 0):
         return True
@@ -96,10 +94,8 @@ def _of_stage(
         why = reasons.get(part, f"{stage}.densify = {asked.densify}")
         yield f"{stage}.densification", f"nothing is densified; {why}"
     elif not planned.densification.divide:
-        yield (
-            f"{stage}.densification.narrower",
-            f"no Gaussian is divided; {stage}.densification.divide = False",
-        )
+        why = f"no Gaussian is divided; {stage}.densification.divide = False"
+        yield f"{stage}.densification.narrower", why
     if not planned.lambda_ssim:
         yield f"{stage}.ssim_margin", f"the stage has no structural term; {stage}.lambda_ssim = 0"
     if not planned.lambda_lpips:
@@ -109,10 +105,8 @@ def _of_stage(
         if asked.lambda_lpips:
             yield f"{stage}.lambda_lpips", why
     if not planned.surface.is_used:
-        yield (
-            f"{stage}.surface",
-            f"no surface is closed; {reasons.get(f'surface prior{where}', 'its weights are 0')}",
-        )
+        why = reasons.get(f"surface prior{where}", "its weights are 0")
+        yield f"{stage}.surface", f"no surface is closed; {why}"
     reached = reached_sh_degree(settings) if stage == "optim" else refined_sh_degree(settings)
     if asked.sh_degree > reached:
         yield f"{stage}.sh_degree", f"degree {reached} is the highest that its steps reach"
@@ -136,8 +130,7 @@ def _of_networks(
         if is_used:
             continue
         for name in names:
-            asked = getattr(settings.optim, name, True)
-            if asked:  # what was turned off is off, as asked
+            if getattr(settings.optim, name, True):  # what was turned off is off, as asked
                 yield f"optim.{name}", f"left out: {reasons.get(part, 'turned off')}"
     if settings.optim.key_light and not planned.key_light:
         yield "optim.key_light", f"no lamp; {reasons.get('key light', 'none was found')}"

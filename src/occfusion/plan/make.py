@@ -145,10 +145,11 @@ def make_plan(
     closed, refined_closed = (surface_decision(settings, stage, surface) for stage in ("optim", "refine"))
     rounds = densification_decision("optim", optim, steps_of(settings, optim))
     refined_rounds = densification_decision("refine", refine, steps_of(settings, refine))
-    effective = _effective(
-        settings, hidden, perceptual, refined_perceptual, distillation, networks, lamp, start, completed, closed,
-        refined_closed, rounds, refined_rounds, inpainter,
+    decided = (
+        *distillation, *networks, lamp, start, completed, perceptual, closed, rounds, inpainter,
+        refined_perceptual, refined_closed, refined_rounds,
     )  # fmt: skip
+    effective = _effective(settings, hidden, {decision.part: decision.used for decision in decided})
 
     plan = [
         registration_decision(registered),
@@ -186,54 +187,39 @@ def make_plan(
 
 
 def _effective(
-    settings: Settings,
-    hidden: tuple[HiddenSettings, HiddenSettings],
-    perceptual: Decision,
-    refined_perceptual: Decision,
-    distillation: Sequence[Decision],
-    networks: Sequence[Decision],
-    lamp: Decision,
-    start: Decision,
-    completed: Decision,
-    closed: Decision,
-    refined_closed: Decision,
-    rounds: Decision,
-    refined_rounds: Decision,
-    inpainter: Decision,
+    settings: Settings, hidden: tuple[HiddenSettings, HiddenSettings], used: Mapping[str, bool]
 ) -> Settings:
-    """Returns the settings without what the decisions leave out."""
-    asked = settings.optim
-    posed, canonical = (decision.used for decision in distillation)
-    refine_pose, has_spline, learn_skinning = (decision.used for decision in networks)
+    """Returns the settings without what the decisions leave out; `used` says of each part whether it stays."""
+    optim, refine = settings.optim, settings.refine
     sds = replace(
-        asked.sds,
-        lambda_pose=asked.sds.lambda_pose if posed else 0.0,
-        lambda_can=asked.sds.lambda_can if canonical else 0.0,
+        optim.sds,
+        lambda_pose=optim.sds.lambda_pose if used["loss term sds_pose"] else 0.0,
+        lambda_can=optim.sds.lambda_can if used["loss term sds_can"] else 0.0,
     )
-    optim = replace(
-        asked,
-        sds=sds,
-        refine_pose=refine_pose,
-        pose_knots=asked.pose_knots if has_spline else 0,
-        learn_skinning=learn_skinning,
-        hidden=hidden[0],
-        gaussians=asked.gaussians if start.used else 0,
-        unseen_colors="prior" if completed.used else "nearest",
-        key_light=lamp.used,
-        densify=rounds.used,
-        lambda_lpips=asked.lambda_lpips if perceptual.used else 0.0,
-        surface=asked.surface if closed.used else NO_SURFACE,
-    )
-    source = settings.refine.references.source
+    source = refine.references.source
     if source == "auto":
-        source = "prior" if inpainter.used else "coarse"
+        source = "prior" if used["references painted by a prior"] else "coarse"
+    optim = replace(
+        optim,
+        sds=sds,
+        refine_pose=used["pose refinement"],
+        pose_knots=optim.pose_knots if used["pose corrections frame by frame"] else 0,
+        learn_skinning=used["skinning network"],
+        hidden=hidden[0],
+        gaussians=optim.gaussians if used["Gaussians between the body's vertices at the start"] else 0,
+        unseen_colors="prior" if used["completed colours"] else "nearest",
+        key_light=used["key light"],
+        densify=used["densification"],
+        lambda_lpips=optim.lambda_lpips if used["loss term lpips"] else 0.0,
+        surface=optim.surface if used["surface prior"] else NO_SURFACE,
+    )
     refine = replace(
-        settings.refine,
-        references=replace(settings.refine.references, source=source),
+        refine,
+        references=replace(refine.references, source=source),
         hidden=hidden[1],
-        lambda_lpips=settings.refine.lambda_lpips if refined_perceptual.used else 0.0,
-        densify=refined_rounds.used,
-        surface=settings.refine.surface if refined_closed.used else NO_SURFACE,
+        lambda_lpips=refine.lambda_lpips if used["loss term lpips in refine"] else 0.0,
+        densify=used["densification in the refinement"],
+        surface=refine.surface if used["surface prior in refine"] else NO_SURFACE,
     )
     return replace(settings, optim=optim, refine=refine)
 

@@ -29,6 +29,7 @@ from occfusion.inpaint.appearance_net import (
 )
 from occfusion.inpaint.partial import KNOWN, SOLID, take_partial
 from occfusion.observation.frames import ObservedFrame
+from occfusion.prior_training.task import Batch
 from occfusion.types import Frame
 
 
@@ -103,25 +104,6 @@ seen, of the background."""
 Planes = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Batch:
-    """What the network is trained on.
-
-    Attributes:
-        clean: signals, `[B, 3, S, S]`.
-        conditions: planes, `[B, 15, S, S]`.
-        weight: of each pixel in the loss, `[B, 1, S, S]`.
-    """
-
-    clean: Tensor
-    conditions: Tensor
-    weight: Tensor
-
-    def to(self, device: torch.device | str) -> Batch:
-        """Returns the batch on `device`."""
-        return Batch(self.clean.to(device), self.conditions.to(device), self.weight.to(device))
-
-
 def make_batch(examples: Sequence[Example], rng: np.random.Generator) -> Batch:
     """Returns windows of examples, mirrored or not, in other colours, behind more occluders, parts left out.
 
@@ -167,14 +149,10 @@ def _window(example: Example, rng: np.random.Generator) -> Example:
     shown = torch.from_numpy(example.planes[None].astype(np.float32) / 255.0)
     region, unseen = region_of(shown)[0].numpy(), unseen_of(shown)[0].numpy()
     chosen = unseen if rng.uniform() < ABOUT_UNSEEN and unseen.any() else region
-    rows, columns = np.nonzero(chosen)
-    if len(rows):
-        k = int(rng.integers(len(rows)))
-        middle = np.array([rows[k], columns[k]])
-    else:
-        middle = np.array([SIZE // 2, SIZE // 2])
+    places = np.argwhere(chosen)
+    middle = places[rng.integers(len(places))] if len(places) else np.array([SIZE // 2, SIZE // 2])
     corner = middle + rng.integers(-WINDOW // 3, WINDOW // 3 + 1, 2) - WINDOW // 2
-    y, x = (int(c) for c in np.clip(corner, 0, SIZE - WINDOW))
+    y, x = np.clip(corner, 0, SIZE - WINDOW)
     cut = (..., slice(y, y + WINDOW), slice(x, x + WINDOW))
     return Example(example.planes[cut], example.truth[cut], example.mask[cut])
 

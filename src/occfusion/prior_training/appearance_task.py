@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,6 @@ from occfusion.inpaint.appearance_net import (
 )
 from occfusion.observation.frames import ObservedFrame
 from occfusion.prior_training.appearance_batches import (
-    Batch,
     make_batch,
     make_examples,
     region_of,
@@ -34,7 +34,7 @@ from occfusion.prior_training.appearance_batches import (
     whole_batch,
 )
 from occfusion.prior_training.example_shard import ExampleShard
-from occfusion.prior_training.task import PriorTask
+from occfusion.prior_training.task import Batch, PriorTask
 from occfusion.priors.embedded.diffusion import posterior_mean
 from occfusion.settings.stages import PriorTrainingSettings
 from occfusion.synth.spec import HELD_OUT_FROM
@@ -186,10 +186,8 @@ class AppearanceTask(PriorTask[AppearanceNet]):
             for k in places:
                 example = shard.read(int(k))
                 planes = whole_batch([example]).conditions.to(device)
-                noise = torch.randn(planes[:, :3].shape, generator=torch.Generator().manual_seed(0)).to(
-                    device
-                )
-                found = posterior_mean(lambda x, t, planes=planes: net(x, t, planes), noise)  # type: ignore[misc]
+                noise = torch.randn(planes[:, :3].shape, generator=torch.Generator().manual_seed(0))
+                found = posterior_mean(partial(net, planes=planes), noise.to(device))
                 coarse = planes[:, COARSE]
                 truth = torch.from_numpy(example.truth.astype(np.float32))[None].to(device) / 255.0
                 pictures = (coarse, coarse + from_signal(found))

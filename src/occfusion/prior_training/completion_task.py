@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from occfusion.files.atomic import write_json
 from occfusion.files.jsonfile import parse_json
@@ -26,9 +26,8 @@ from occfusion.inpaint.completion_net import (
     from_signal,
     to_signal,
 )
-from occfusion.prior_training.appearance_batches import Batch
 from occfusion.prior_training.completion_examples import Example, make_example
-from occfusion.prior_training.task import PriorTask
+from occfusion.prior_training.task import Batch, PriorTask
 from occfusion.priors.embedded.diffusion import posterior_mean
 from occfusion.settings.stages import PriorTrainingSettings
 
@@ -140,7 +139,9 @@ class CompletionTask(PriorTask[CompletionNet]):
         errors, total = np.zeros(2), 0
         for batch in self._validation:
             planes = batch.conditions.to(device)
-            signal = complete(net, planes, 0)
+            shape = (len(planes), len(FILLED), *planes.shape[2:])
+            noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(device)
+            signal = posterior_mean(partial(net, planes=planes), noise)
             filled = planes[:, FILLED]
             truth = filled + from_signal(batch.clean.to(device))
             unseen = ((planes[:, SEEN] < UNSEEN) & (planes[:, BODY] > 0)).repeat_interleave(3, dim=1)
@@ -148,11 +149,3 @@ class CompletionTask(PriorTask[CompletionNet]):
                 errors[which] += float((found - truth)[unseen].square().sum())
             total += int(unseen.sum())
         return dict(zip(self.columns, (-10.0 * np.log10(errors / max(total, 1))).tolist(), strict=True))
-
-
-@torch.no_grad()
-def complete(net: CompletionNet, planes: Tensor, seed: int) -> Tensor:
-    """Returns the posterior mean of the signal, `[B, 6, S, S]`."""
-    shape = (len(planes), len(FILLED), *planes.shape[2:])
-    noise = torch.randn(shape, generator=torch.Generator().manual_seed(seed)).to(planes.device)
-    return posterior_mean(lambda x, t: net(x, t, planes), noise)

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from occfusion.files.atomic import write_json
 from occfusion.files.jsonfile import parse_json
 from occfusion.observation.keypoints import MIRRORED, NUM_KEYPOINTS
 from occfusion.prior_training.random_occluders import centre_strip, draw_hidden, observed, random_half
 from occfusion.prior_training.silhouette_examples import make_corpus
-from occfusion.priors.embedded.conditions import Conditions, make_conditions
+from occfusion.prior_training.task import Batch
+from occfusion.priors.embedded.conditions import make_conditions
 from occfusion.priors.embedded.silhouette_net import SIZE
 
 DROP_BODY, DROP_POSE, DROP_BACKGROUND, DROP_ALL = 0.12, 0.15, 0.4, 0.06
@@ -27,29 +26,12 @@ SURE_WEIGHT = 0.25
 """In the loss, of a pixel that the conditions tell."""
 
 Fields = dict[str, NDArray[Any]]
-"""The fields of a `corpus.Example` by name."""
+"""The fields of a `silhouette_examples.Example` by name."""
+MEASURED = 16
+"""Silhouettes of a batch that is not trained on."""
 
 
-@dataclass(frozen=True)
-class Batch:
-    """What the network is trained on.
-
-    Attributes:
-        clean: whole silhouettes, -1..1, `[B, 1, S, S]`.
-        conditions: what is shown of them.
-        weight: of each pixel in the loss, `[B, 1, S, S]`.
-    """
-
-    clean: Tensor
-    conditions: Conditions
-    weight: Tensor
-
-    def to(self, device: torch.device | str) -> Batch:
-        """Returns the batch on `device`."""
-        return Batch(self.clean.to(device), self.conditions.to(device), self.weight.to(device))
-
-
-def validation_batches(count: int, seed: int, size: int = 16) -> dict[str, list[Batch]]:
+def validation_batches(count: int, seed: int) -> dict[str, list[Batch]]:
     """Returns silhouettes of the training subjects in other poses, half hidden, every condition given.
 
     Keys: `centre`, an upright strip that hides half of the person; `half`, a half plane through the person's middle.
@@ -57,34 +39,30 @@ def validation_batches(count: int, seed: int, size: int = 16) -> dict[str, list[
     Args:
         count: silhouettes.
         seed: other than the corpus's.
-        size: of a batch.
     """
     rng = np.random.default_rng([seed, 4])
     found: dict[str, list[Batch]] = {"centre": [], "half": []}
     examples: list[Fields] = [dict(vars(example)) for example in make_corpus(count, seed)]
-    for first in range(0, count, size):
-        rows = examples[first : first + size]
+    for first in range(0, count, MEASURED):
+        rows = examples[first : first + MEASURED]
         people = [row["person"] > 127 for row in rows]
-        centre = [centre_strip(person, 0.5) for person in people]
-        half = [random_half(person, rng) for person in people]
-        found["centre"].append(hidden_batch(rows, centre))
-        found["half"].append(hidden_batch(rows, half))
+        found["centre"].append(hidden_batch(rows, [centre_strip(person, 0.5) for person in people]))
+        found["half"].append(hidden_batch(rows, [random_half(person, rng) for person in people]))
     return found
 
 
-def fusion_batches(count: int, seed: int, size: int = 16) -> Iterator[Batch]:
+def fusion_batches(count: int, seed: int) -> Iterator[Batch]:
     """Yields silhouettes of the training subjects behind random occluders, every condition given.
 
     Args:
         count: silhouettes.
         seed: other than the corpus's.
-        size: of a batch.
     """
     rng = np.random.default_rng([seed, 5])
     rows: list[Fields] = []
     for made, example in enumerate(make_corpus(count, seed), 1):
         rows.append(dict(vars(example)))
-        if len(rows) == size or made == count:
+        if len(rows) == MEASURED or made == count:
             people = [observed(row["person"].astype(np.float32) / 255.0, rng) for row in rows]
             yield hidden_batch(rows, [draw_hidden(person, rng) for person in people], people)
             rows = []
@@ -96,7 +74,7 @@ def hidden_batch(
     """Returns examples behind given occluders, with every condition as it is.
 
     Args:
-        examples: fields of `corpus.Example`.
+        examples: fields of `silhouette_examples.Example`.
         hidden: what each occluder covers, bool `[S, S]`.
         segmented: each person as segmented, with errors, bool `[S, S]`; None: without.
     """
@@ -120,7 +98,7 @@ def make_batch(examples: list[Fields], rng: np.random.Generator) -> Batch:
     """Returns a batch: examples mirrored or not, behind random occluders, with conditions dropped at random.
 
     Args:
-        examples: fields of `corpus.Example`.
+        examples: fields of `silhouette_examples.Example`.
         rng: source of all choices.
     """
     return _stacked([_augmented(example, rng) for example in examples])
@@ -200,10 +178,6 @@ class Corpus:
     def __init__(self, folder: Path, count: int, seed: int) -> None:
         self.folder, self.count, self.seed = folder, count, seed
         self._arrays: dict[str, NDArray[np.generic]] = {}
-
-    def __len__(self) -> int:
-        """Returns the number of examples."""
-        return self.count
 
     def prepare(self) -> Iterator[int]:
         """Makes the corpus if it is not there, yielding how many examples are made."""

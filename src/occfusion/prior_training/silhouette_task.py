@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from occfusion.prior_training.silhouette_batches import Batch, Corpus, fusion_batches, validation_batches
-from occfusion.prior_training.task import PriorTask
+from occfusion.prior_training.silhouette_batches import Corpus, fusion_batches, validation_batches
+from occfusion.prior_training.task import Batch, PriorTask
 from occfusion.priors.embedded.diffusion import posterior_mean
 from occfusion.priors.embedded.silhouette_net import SILHOUETTE, SIZE, SilhouetteNet
 from occfusion.settings.stages import PriorTrainingSettings
@@ -55,17 +56,16 @@ class SilhouetteTask(PriorTask[SilhouetteNet]):
         """Returns the mean IoU inside what is hidden, for two ways to hide half of a person."""
         if self._batches is None:
             self._batches = validation_batches(self.settings.validation, self.seed + 1)
-        return {f"{kind}_iou": _mean_iou(net, batches, device) for kind, batches in self._batches.items()}
+        return {
+            f"{kind}_iou": float(torch.cat([completion_iou(net, batch, device) for batch in batches]).mean())
+            for kind, batches in self._batches.items()
+        }
 
     def finish(self, net: SilhouetteNet, device: torch.device) -> dict[str, float]:
         """Fits how the network's answers and the body are fused, on silhouettes that it was not trained on."""
         count = min(FUSION_SILHOUETTES, self.settings.examples)
         fit_fusion(net, fusion_batches(count, self.seed + 2), device)
         return {f"fused_{name}": value for name, value in self.measure(net, device).items()}
-
-
-def _mean_iou(net: SilhouetteNet, batches: list[Batch], device: torch.device) -> float:
-    return float(torch.cat([completion_iou(net, batch, device) for batch in batches]).mean())
 
 
 def hidden_iou(completed: Tensor, clean: Tensor, hidden: Tensor) -> Tensor:
@@ -76,29 +76,28 @@ def hidden_iou(completed: Tensor, clean: Tensor, hidden: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def completion_iou(net: SilhouetteNet, batch: Batch, device: torch.device, seed: int = 0) -> Tensor:
+def completion_iou(net: SilhouetteNet, batch: Batch, device: torch.device) -> Tensor:
     """Returns the hidden IoU of each crop by one evaluation, `[B]`."""
     conditions = batch.conditions.to(device)
-    noise = torch.randn(1, *batch.clean.shape[1:], generator=torch.Generator().manual_seed(seed)).to(device)
+    noise = torch.randn(1, *batch.clean.shape[1:], generator=torch.Generator().manual_seed(0)).to(device)
     completed = net.probability(conditions, noise).cpu() > 0.5
     hidden = (batch.conditions.visible + batch.conditions.background) == 0
     return hidden_iou(completed, batch.clean > 0.0, hidden)
 
 
 @torch.no_grad()
-def fit_fusion(net: SilhouetteNet, batches: Iterable[Batch], device: torch.device, seed: int = 0) -> None:
+def fit_fusion(net: SilhouetteNet, batches: Iterable[Batch], device: torch.device) -> None:
     """Fits how a network's posterior mean and the body are fused; see `BodyFusion`.
 
     Args:
         net: trained; its fusion is set.
         batches: of silhouettes that it was not trained on, their bodies as wrong as in use.
         device: where it runs.
-        seed: of the noise.
     """
     answers = []
     for batch in batches:
         conditions = batch.conditions.to(device)
-        noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(seed)).to(device)
-        mean = posterior_mean(lambda x, t, c=conditions: net(x, t, c), noise)  # type: ignore[misc]
+        noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(device)
+        mean = posterior_mean(partial(net, conditions=conditions), noise)
         answers.append((mean.cpu(), batch.conditions, batch.clean))
     net.fusion.fit(answers)

@@ -3,14 +3,32 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Generic, TypeVar
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import torch
-from torch import nn
-
-from occfusion.stages.prior import Batch
+from torch import Tensor, nn
 
 Net = TypeVar("Net", bound=nn.Module)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What a network is trained on.
+
+    Attributes:
+        clean: signals in -1..1, `[B, C, S, S]`.
+        conditions: what it is shown of them, as its `forward` takes it.
+        weight: of each pixel in the loss, `[B, 1, S, S]`.
+    """
+
+    clean: Tensor
+    conditions: Any
+    weight: Tensor
+
+    def to(self, device: torch.device | str) -> Batch:
+        """Returns the batch on `device`."""
+        return Batch(self.clean.to(device), self.conditions.to(device), self.weight.to(device))
 
 
 class PriorTask(ABC, Generic[Net]):

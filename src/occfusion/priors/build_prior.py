@@ -32,7 +32,8 @@ def make_mask_prior(settings: Mapping[str, Any], device: torch.device) -> MaskPr
     if name == "embedded":
         return EmbeddedMaskPrior(read_record(EmbeddedSettings, options, "prior"), device)
     if name == "sd15":
-        from occfusion.priors.sd15.mask_prior import Sd15MaskPrior, Sd15Settings  # diffusers is an extra
+        from occfusion.priors.sd15.mask_prior import Sd15MaskPrior  # diffusers is an extra
+        from occfusion.priors.sd15.settings import Sd15Settings
 
         return Sd15MaskPrior(read_record(Sd15Settings, options, "prior"), device)
     raise ConfigError(f"prior.name={name!r}: choose embedded or sd15")

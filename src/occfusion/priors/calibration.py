@@ -30,6 +30,8 @@ Mask = NDArray[np.bool_]
 
 FRAMES = 16
 """On which the calibration is fitted."""
+ROUNDS = 40
+"""How often what is measured of clothes is averaged over neighbours on the mesh."""
 THICKNESS_VIEWS = 60
 """Frames at most that say how far clothes stand off, evenly spread; at 256 px one takes about 20 ms."""
 SHIFT = 0.25
@@ -99,16 +101,11 @@ def _outline(observed_frame: ObservedFrame, camera: Camera, body: Body) -> _Outl
     seen = rasterize_mesh(projected.pixels, projected.depths, faces, camera.width, camera.height)
     covered = seen.face >= 0
     metres = float(np.median(projected.depths)) / float(camera.K[0, 0])
-    corner = np.take_along_axis(
-        faces[np.maximum(seen.face, 0)],
-        seen.barycentrics.argmax(axis=-1)[..., None].astype(np.int64),
-        axis=-1,
-    )[..., 0]
+    corner = faces[np.maximum(seen.face, 0), seen.barycentrics.argmax(axis=-1)]
     # where the picture shows nothing of the body, all is far from it, and from which vertex makes no difference
     nearest = corner.ravel()[nearest_set(covered)] if covered.any() else np.zeros(covered.shape, np.int64)
     to_edge = signed_distance(covered) + np.where(covered, -0.5, 0.5)  # which runs between two pixels
-    distance = to_edge * metres
-    return _Outline(distance.astype(np.float64), nearest.astype(np.int64))
+    return _Outline((to_edge * metres).astype(np.float64), nearest.astype(np.int64))
 
 
 def _features(probability: NDArray[np.floating], depth_inside: Floats) -> Floats:
@@ -118,7 +115,7 @@ def _features(probability: NDArray[np.floating], depth_inside: Floats) -> Floats
 
 
 def measure_thickness(
-    observed_frames: Sequence[ObservedFrame], read: Callable[[int], Frame], body: Body, rounds: int = 40
+    observed_frames: Sequence[ObservedFrame], read: Callable[[int], Frame], body: Body
 ) -> Floats:
     """Returns how far clothes stand off the body at each vertex, `[V]`, metres.
 
@@ -141,7 +138,7 @@ def measure_thickness(
         worn = near & clear & _attached(visible, outline.inside >= 0)
         shown += np.bincount(outline.vertex[worn], minlength=count) * metres
         rim += np.bincount(outline.vertex[edge & clear], minlength=count)
-    return _spread(shown, rim, body.faces.cpu().numpy(), rounds)
+    return _spread(shown, rim, body.faces.cpu().numpy())
 
 
 def _attached(visible: Mask, covered: Mask) -> Mask:
@@ -151,14 +148,14 @@ def _attached(visible: Mask, covered: Mask) -> Mask:
     return visible & np.isin(labels, kept)
 
 
-def _spread(total: Floats, weight: Floats, faces: NDArray[np.int64], rounds: int) -> Floats:
+def _spread(total: Floats, weight: Floats, faces: NDArray[np.int64]) -> Floats:
     """Returns `total / weight`, averaged over neighbours on the mesh again and again; weight carries belief."""
     if weight.sum() == 0:
         return np.zeros_like(total)
     mean = float(total.sum() / weight.sum())
     a, b = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
     degree = np.maximum(np.bincount(a, minlength=len(total)), 1)
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         total = 0.5 * total + 0.5 * np.bincount(a, total[b], minlength=len(total)) / degree
         weight = 0.5 * weight + 0.5 * np.bincount(a, weight[b], minlength=len(weight)) / degree
     return (total + 0.5 * mean) / (weight + 0.5)
@@ -177,10 +174,9 @@ def calibrate(
     """
     thickness = measure_thickness(observed_frames, read, body)
     occluded = [k for k, observed_frame in enumerate(observed_frames) if observed_frame.evidence.occluded]
-    shown = sorted(range(len(observed_frames)), key=lambda k: observed_frames[k].evidence.hidden_share)[
-        : 2 * FRAMES
-    ]
-    chosen = sorted(shown)[:: max(1, len(shown) // FRAMES)][:FRAMES]
+    shown = sorted(range(len(observed_frames)), key=lambda k: observed_frames[k].evidence.hidden_share)
+    shown = sorted(shown[: 2 * FRAMES])
+    chosen = shown[:: max(1, len(shown) // FRAMES)][:FRAMES]
     rng = np.random.default_rng(0)
     rows, labels = [], []
     for position in chosen:

@@ -8,8 +8,6 @@ from torch.nn import functional
 
 from occfusion.quality.ssim import ssim_map
 
-__all__ = ["l1", "l1_and_ssim", "l2", "masked_mean", "masked_ssim_loss", "ssim_loss", "ssim_map", "within"]
-
 
 def l1(a: Tensor, b: Tensor, mask: Tensor | None = None) -> Tensor:
     """Returns the mean absolute difference over the pixels of `mask` and all channels, a scalar.

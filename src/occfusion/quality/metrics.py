@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-import torch
 from torch import Tensor
 
+from occfusion.quality.losses import within
 from occfusion.quality.ssim import WINDOW, ssim_map
 from occfusion.types import Box
 
@@ -122,8 +122,7 @@ def holes(alpha: Tensor, mask: Tensor) -> float | None:
     if box is None:
         return None
     reach = max(1, round(EDGE * max(box[2:])))
-    outside = (~mask).to(torch.float32)[None, None]
-    inside = torch.nn.functional.max_pool2d(outside, 2 * reach + 1, stride=1, padding=reach)[0, 0] == 0
+    inside = within(mask, reach)
     return None if not inside.any() else float((alpha[inside] < OCCUPIED).double().mean())
 
 

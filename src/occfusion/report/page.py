@@ -11,7 +11,6 @@ from occfusion.files.atomic import write_bytes
 from occfusion.files.run_folder import METRICS, STAGES, RunFolder, read_json
 from occfusion.files.table import read_table
 from occfusion.report.drawing import panels, plain_numbers, png
-from occfusion.report.losses import SMOOTHED, plot_losses
 from occfusion.report.tables import figure, figures_known, heading, run_title
 
 REGION_NOTES = {
@@ -23,6 +22,10 @@ REGION_NOTES = {
     "seen_one": "held-out cameras, where it saw the body from one direction",
     "unseen": "held-out cameras, where it never saw the body",
 }
+NOT_LOSSES = ("stage", "step", "gaussians")
+SMOOTHED = 50
+"""Steps that a point of a loss curve is the mean of: each step sees another frame."""
+PANELS_A_ROW = 3
 
 
 def write_report(folder: RunFolder) -> Path:
@@ -68,9 +71,8 @@ def _numbers(path: Path, columns: Sequence[str] = ()) -> list[dict[str, str]]:
     except (KeyError, TypeError, ValueError) as error:
         print(f"{path} is damaged, and left out of the report ({error})")
         return []
-    return sorted(
-        rows, key=lambda row: STAGES.index(row["stage"])
-    )  # one that was made again stands behind later ones
+    # one that was made again stands behind later ones
+    return sorted(rows, key=lambda row: STAGES.index(row["stage"]))
 
 
 def plot_error_vs_time(
@@ -99,6 +101,51 @@ def plot_error_vs_time(
     if shown:
         drawing.axes[0].legend(fontsize=8)
     write_bytes(picture, png(drawing))
+
+
+def plot_losses(rows: Sequence[Mapping[str, str]], picture: Path | str) -> bool:
+    """Draws the losses: a panel a term and one for the weighted sum, a line a stage, over the steps of all stages.
+
+    Args:
+        rows: of the table.
+        picture: the PNG to write.
+
+    Returns:
+        Whether there was anything to draw.
+    """
+    columns = rows[0] if rows else ()
+    terms = [name for name in columns if name not in NOT_LOSSES and not name.startswith("rate_")]
+    if not terms:
+        return False
+    drawing, axes_of = panels(len(terms), PANELS_A_ROW, 2.4)
+    stages = list(dict.fromkeys(row["stage"] for row in rows))
+    last = {stage: max(int(row["step"]) for row in rows if row["stage"] == stage) for stage in stages}
+    for term, axes in zip(terms, axes_of, strict=True):
+        before, is_positive = 0, True
+        for stage in stages:
+            steps, values = _smoothed([row for row in rows if row["stage"] == stage], term, before)
+            axes.plot(steps, values, linewidth=1, label=stage)
+            is_positive = is_positive and all(value > 0.0 for value in values)
+            before += last[stage]
+        axes.set_title("weighted sum" if term == "total" else term, fontsize=10)
+        axes.set_yscale("log" if is_positive else "linear")
+        axes.set_xlim(0, before)
+        plain_numbers(axes.yaxis)
+    drawing.axes[0].legend(fontsize=8)
+    write_bytes(picture, png(drawing))
+    return True
+
+
+def _smoothed(rows: Sequence[Mapping[str, str]], term: str, before: int) -> tuple[list[float], list[float]]:
+    """Returns steps and values of a term: means over parts of `SMOOTHED` steps of a stage that began at `before`."""
+    parts: dict[int, list[tuple[int, float]]] = {}
+    for row in rows:
+        if row[term]:
+            parts.setdefault((int(row["step"]) - 1) // SMOOTHED, []).append(
+                (int(row["step"]), float(row[term]))
+            )
+    steps = [before + sum(step for step, _ in part) / len(part) for part in parts.values()]
+    return steps, [sum(value for _, value in part) / len(part) for part in parts.values()]
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

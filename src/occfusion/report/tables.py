@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from occfusion.files.run_folder import FIGURES, METRICS
@@ -53,40 +54,31 @@ def run_title(metrics: Mapping[str, Any]) -> str:
 
 
 def print_summary(folder: Path, metrics: Mapping[str, Any]) -> None:
-    """Prints one row a region, and the run folder."""
+    """Prints one row a region, the run folder, and what to do with it."""
     name = metrics["perceptual_metric"]
-    table = Table(title=run_title(metrics))
+    table = Table(title=escape(run_title(metrics)))
     table.add_column("region", no_wrap=True)
     shown = [metric for metric in figures_known(metrics) if metric not in OF_FRAMES]
     for metric in shown:
         table.add_column(heading(metric, name), justify="right")
     for region, values in metrics["regions"].items():
         table.add_row(region, *(figure(metric, values.get(metric)) for metric in shown))
-    console = Console()
-    console.print(table)
+    Console().print(table)
     full = metrics["regions"].get("full", {})
     told = [
         f"{metric} {figure(metric, full[metric])}" for metric in OF_FRAMES if full.get(metric) is not None
     ]
     if told:
-        console.print(f"of whole frames: {', '.join(told)}", highlight=False)
-    console.print(
+        print(f"of whole frames: {', '.join(told)}")
+    print(
         f"trained in {metrics['train_seconds']['total']:.1f} s, {metrics['gaussians']} Gaussians, "
-        f"{metrics['images']} held-out images, peak memory {metrics['peak_memory_mb']:.0f} MB",
-        highlight=False,
+        f"{metrics['images']} held-out images, peak memory {metrics['peak_memory_mb']:.0f} MB"
     )
-    console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
-    for command in next_commands(folder):
-        console.print(f"  {command}", highlight=False, soft_wrap=True)
-
-
-def next_commands(folder: Path) -> list[str]:
-    """Returns what a person wants to type after a run."""
-    return [
-        f"python -m occfusion render {folder} --motion walk --output walk.mp4",
-        f"python -m occfusion view {folder}",
-        f"python -m occfusion export {folder} --output avatar.html",
-    ]
+    print(f"run folder: {folder}")
+    # what a person wants to type after a run
+    print(f"  python -m occfusion render {folder} --motion walk --output walk.mp4")
+    print(f"  python -m occfusion view {folder}")
+    print(f"  python -m occfusion export {folder} --output avatar.html")
 
 
 def print_comparison(runs: Sequence[Mapping[str, Any]]) -> None:
@@ -101,5 +93,6 @@ def print_comparison(runs: Sequence[Mapping[str, Any]]) -> None:
     for run in runs:
         full = run["regions"]["full"]
         cells = (figure(metric, full[metric]) for metric in METRICS)
-        table.add_row(run["scene"], run["variant"], *cells, f"{run['train_seconds']['total']:.1f}")
+        seconds = f"{run['train_seconds']['total']:.1f}"
+        table.add_row(escape(str(run["scene"])), run["variant"], *cells, seconds)
     Console().print(table)

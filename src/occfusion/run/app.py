@@ -18,15 +18,14 @@ from occfusion.human.kernels import compile_meanwhile
 from occfusion.plan.idle import idle_settings
 from occfusion.report.page import write_report
 from occfusion.report.tables import print_summary
+from occfusion.run.environment import check_machine
 from occfusion.run.evaluation import PICTURE_FRAMES, evaluate_run
 from occfusion.run.folder import at_work, finished_in, identify, record_finished
 from occfusion.run.keepsakes import write_before_after, write_turntable
-from occfusion.run.machine import check_machine
 from occfusion.run.prepare import Run, build, claim, decide, make_renderer, observe
 from occfusion.run.prior import run_prior_training
 from occfusion.settings.schema import PRIOR_STAGE, load_settings, stages_to_run
 from occfusion.stages.loggers import check_logger
-from occfusion.types import Frame, Rendering
 
 
 def run(config: DictConfig, *, folder_chosen_by_user: bool) -> dict[str, Any]:
@@ -91,27 +90,18 @@ def check_checkpoints(folder: RunFolder) -> None:
 
 def _run_and_evaluate(run_: Run) -> dict[str, Any]:
     """Runs the stages of a run, evaluates and reports; returns the figures, none where there are none to be had."""
-    avatar = run_.run_stages()
+    avatar, own = run_.run_stages(), run_.training
+    settings, folder = own.settings, own.folder
     if is_helper():
         return {}
-    if stages_to_run(run_.settings) == ["init"]:  # nothing is trained yet that could be evaluated
-        print(f"run folder: {run_.folder.path}")
+    if stages_to_run(settings) == ["init"]:  # nothing is trained yet that could be evaluated
+        print(f"run folder: {folder.path}")
         return {}
-
-    write_gaussians_ply(run_.folder.point_cloud, avatar.gaussians)  # also where a stage was taken over
-
-    def render(frame: Frame) -> Rendering:
-        return run_.renderer.frame(avatar, frame)
-
-    figures = evaluate_run(
-        run_.folder, run_.data, render, run_.settings, run_.metric,
-        gaussians=avatar.gaussians.num_gaussians, left_out=run_.plan.left_out(), body=avatar.body,
-        coverage=run_.coverage,
-    )  # fmt: skip
-    settings = run_.settings
+    write_gaussians_ply(folder.point_cloud, avatar.gaussians)  # also where a stage was taken over
+    figures = evaluate_run(own, avatar, run_.plan.left_out(), run_.coverage)
     evaluation = settings.evaluation
     if evaluation.pictures and evaluation.turntable and not settings.trainer.fast_dev_run:
-        write_before_after(run_.folder, avatar, run_.data.spread_train_frames(PICTURE_FRAMES), run_.renderer)
-        write_turntable(run_.folder, evaluation.turntable)
-    write_report(run_.folder)
+        write_before_after(folder, avatar, own.data.spread_train_frames(PICTURE_FRAMES), own.renderer)
+        write_turntable(folder, evaluation.turntable)
+    write_report(folder)
     return figures

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 from occfusion.errors import ConfigError
 from occfusion.human import Body, embedded_body, load_body
-from occfusion.human.unblended import without_pose_blend_shapes
+from occfusion.human.body import without_pose_blend_shapes
 from occfusion.settings.schema import BodySettings, Settings
 
 if TYPE_CHECKING:
-    from occfusion.data import HumanDataModule
+    from occfusion.data.module import HumanDataModule
 
 DATA_MODULES = {
     "synthetic": ("occfusion.data.synthetic", "make_synthetic"),
-    "zju": ("occfusion.data", "ZjuDataModule"),
-    "ocmotion": ("occfusion.data", "OcMotionDataModule"),
-    "video": ("occfusion.data", "VideoDataModule"),
+    "zju": ("occfusion.data.zju.zju_data", "ZjuDataModule"),
+    "ocmotion": ("occfusion.data.ocmotion.ocmotion_data", "OcMotionDataModule"),
+    "video": ("occfusion.data.video.video_data", "VideoDataModule"),
 }
 """What reads each `dataset=`, by module and name; imported when it is needed, since showing an avatar needs no data.
 Its arguments are the settings of `occfusion.settings.datasets`."""

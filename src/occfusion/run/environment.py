@@ -1,9 +1,10 @@
-"""What a run ran on: versions, hardware, threads, revision and command."""
+"""The machine of a run: whether it can end what is asked, and what it was, down to versions and threads."""
 
 from __future__ import annotations
 
 import os
 import platform
+import shutil
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -14,11 +15,53 @@ from typing import Any
 import torch
 
 import occfusion
+from occfusion.errors import ConfigError
+from occfusion.settings.schema import Settings
 
 PACKAGES = (
     "torch", "lightning", "hydra-core", "kornia", "trimesh", "opencv-contrib-python-headless",
     "torchmetrics", "numpy", "numba", "safetensors",
 )  # fmt: skip
+ROOM_MB = 48
+"""A run writes three checkpoints and avatars of some 5 MB each at least, and pictures."""
+
+
+def check_machine(settings: Settings) -> None:
+    """Refuses a machine that could not end what is asked of it.
+
+    Raises:
+        ConfigError: no such accelerator, or a full or read-only disk.
+    """
+    trainer = settings.trainer
+    on_gpu = trainer.accelerator in ("gpu", "cuda")
+    there = torch.cuda.device_count() if on_gpu or trainer.accelerator == "auto" else 0
+    if on_gpu and trainer.devices > there:
+        raise ConfigError(
+            f"settings trainer.accelerator={trainer.accelerator} trainer.devices={trainer.devices}: "
+            f"{there or 'no'} GPUs are usable here (torch {torch.__version__}); choose trainer.accelerator=cpu"
+        )
+    place = Path(settings.output_dir).absolute()
+    exists = next(folder for folder in (place, *place.parents) if folder.exists())
+    if not os.access(exists, os.W_OK | os.X_OK):
+        raise ConfigError(
+            f"output_dir={settings.output_dir}: {exists} cannot be written (rights, or a read-only disk); name another "
+            "folder"
+        )
+    free = shutil.disk_usage(exists).free / 1e6
+    if free < ROOM_MB:
+        raise ConfigError(
+            f"output_dir={settings.output_dir}: {free:.0f} MB are free there and a run needs {ROOM_MB} MB or more; "
+            "make room, or name a folder on another disk"
+        )
+
+
+def accelerator_of(settings: Settings) -> str:
+    """Returns what a run trains on, `cuda` or `cpu`.
+
+    Lightning's own `auto` would take Apple's GPUs, which have no float64.
+    """
+    on_gpu = settings.trainer.accelerator != "cpu" and torch.cuda.is_available()
+    return "cuda" if on_gpu else "cpu"
 
 
 def describe_environment() -> dict[str, Any]:

@@ -8,19 +8,23 @@ from itertools import islice
 from typing import Any
 
 from occfusion.cpu.memory import peak_memory_mb
-from occfusion.data.module import HumanDataModule
-from occfusion.evaluation.evaluate import ImageRow, evaluate_frames, summarise, write_per_image_csv
+from occfusion.evaluation.evaluate import (
+    ImageRow,
+    evaluate_frames,
+    summarise,
+    write_grouped_csv,
+    write_per_image_csv,
+)
 from occfusion.evaluation.gain import camera_gains, with_gains
 from occfusion.evaluation.pictures import write_comparison
-from occfusion.evaluation.tables import write_grouped_csv
 from occfusion.files.atomic import write_json, write_png
-from occfusion.files.run_folder import RunFolder
 from occfusion.geometry.coverage import CLASSES
-from occfusion.human import Body
+from occfusion.human import Avatar
 from occfusion.human.coverage import BodyCoverage, class_of_pixels
 from occfusion.human.coverage_picture import draw_coverage
 from occfusion.perceptual import PerceptualMetric
-from occfusion.settings.schema import EvaluationSettings, Settings
+from occfusion.run.training import AvatarTraining
+from occfusion.settings.schema import EvaluationSettings
 from occfusion.types import Frame, Rendering
 
 HELD_OUT_REGIONS = ("full", "box", *CLASSES)
@@ -30,30 +34,19 @@ FAST_DEV_IMAGES = 1
 
 
 def evaluate_run(
-    folder: RunFolder,
-    data: HumanDataModule,
-    render: Callable[[Frame], Rendering],
-    settings: Settings,
-    perceptual: PerceptualMetric | None,
-    gaussians: int,
-    left_out: list[str],
-    body: Body,
-    coverage: BodyCoverage | None,
+    training: AvatarTraining, avatar: Avatar, left_out: list[str], coverage: BodyCoverage | None
 ) -> dict[str, Any]:
     """Writes the tables, the figures and the pictures of a run; returns the figures.
 
     Args:
-        folder: of the run, its stages done.
-        data: with the held-out views.
-        render: the trained avatar as a frame's camera sees it.
-        settings: of the run.
-        perceptual: from `evaluation_metric`.
-        gaussians: how many the avatar has.
+        training: of the run, its stages done.
+        avatar: trained.
         left_out: parts of the method that the scene did not need.
-        body: of the data.
-        coverage: how well the training views show it; None where that is not known.
+        coverage: how well the training views show the body; None where that is not known.
     """
-    evaluation = settings.evaluation
+    settings, folder, data = training.settings, training.folder, training.data
+    perceptual, body, evaluation = training.evaluation_metric, avatar.body, settings.evaluation
+    render: Callable[[Frame], Rendering] = partial(training.renderer.frame, avatar)
     limit = FAST_DEV_IMAGES if settings.trainer.fast_dev_run else None
     rows: list[ImageRow] = []
     images = 0
@@ -87,7 +80,7 @@ def evaluate_run(
         "camera_gains": None if gains is None else {str(camera): gain for camera, gain in gains.items()},
         "perceptual_metric": None if perceptual is None else perceptual.name,
         "train_seconds": folder.train_seconds(),
-        "gaussians": gaussians,
+        "gaussians": avatar.gaussians.num_gaussians,
         "peak_memory_mb": round(peak_memory_mb(), 1),
         "left_out": left_out,
     }

@@ -216,7 +216,7 @@ def finished_in(folder: RunFolder, identity: Identity, data_hash: str) -> dict[s
     Tables of an earlier end that are damaged are put aside, and said: the folder must be kept to this process.
     """
     _set_aside(folder.altered_tables())
-    record = _read(folder.finished)
+    record = read_if_whole(folder.finished)
     is_same = record.get("identity") == identity.asked and record.get("data") == data_hash
     return _figures(folder) if identity.is_reusable and is_same else None
 
@@ -233,7 +233,7 @@ def find_finished(settings: Settings, *, chosen_by_user: bool) -> tuple[Path, di
     for folder in _candidates(Path(settings.output_dir), chosen_by_user):
         if not folder.path.is_dir():
             return None
-        record = _read(folder.finished)
+        record = read_if_whole(folder.finished)
         if record.get("identity") == identity.asked:
             is_whole = record.get("source") == identity.source and not folder.altered_tables()
             figures = _figures(folder) if is_whole else None
@@ -275,14 +275,14 @@ def _state(name: str, stat: os.stat_result) -> str:
 def _figures(folder: RunFolder) -> dict[str, Any] | None:
     """Returns the figures of a finished run; None, which is said, where any of its results is damaged or missing."""
     try:
-        gone = changed(folder.path, dict(_read(folder.finished).get("sha256", {})))
+        gone = changed(folder.path, dict(read_if_whole(folder.finished).get("sha256", {})))
     except (TypeError, ValueError):
         gone = [folder.finished]
     gone += [*folder.masks.altered(), *folder.inpainted.altered()]  # a finished run may be without them
     if gone:
         print(f"{gone[0]} is missing, or not as the run left it; what it needs is made again")
         return None
-    metrics = _read(folder.metrics)
+    metrics = read_if_whole(folder.metrics)
     return metrics if "regions" in metrics else None
 
 
@@ -296,7 +296,7 @@ def _set_aside(tables: Sequence[Path]) -> None:
         print(said)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_if_whole(path: Path) -> dict[str, Any]:
     """Returns the content of a record; empty where it is missing or damaged."""
     with suppress(CheckpointError):
         return read_json(path)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import torch
 from omegaconf import OmegaConf
@@ -17,15 +15,16 @@ from yaml import YAMLError
 from occfusion.errors import CheckpointError
 from occfusion.files.checkpoint import read_checkpoint
 from occfusion.files.digest import digest_of_values
-from occfusion.files.run_folder import STAGES, RunFolder, read_json
+from occfusion.files.run_folder import STAGES, RunFolder
 from occfusion.human import Avatar, load_avatar
 from occfusion.human.avatar_file import make_avatar
-from occfusion.motion import Clip
+from occfusion.motion import Clip, read_sequence
 from occfusion.run.bodies import make_body
-from occfusion.run.sequence import ensure_sequence, read_run_clip, read_run_views
+from occfusion.run.folder import read_if_whole
+from occfusion.run.sequence import ensure_sequence
 from occfusion.settings.names import without_old_names
 from occfusion.settings.schema import Settings, load_settings
-from occfusion.show.views import TRAIN, View
+from occfusion.show.views import TRAIN, View, read_views
 from occfusion.types import Camera
 
 _PREFIX = "avatar."
@@ -54,7 +53,7 @@ class LoadedRun:
     def clip(self) -> Clip:
         """The motion of its own sequence."""
         ensure_sequence(self.folder, self.settings)
-        return read_run_clip(self.folder)
+        return read_sequence(self.folder.motion, "sequence")
 
     @cached_property
     def betas(self) -> Tensor:
@@ -65,7 +64,7 @@ class LoadedRun:
     def views(self, group: str) -> list[View]:
         """Returns its views: `show.views.TRAIN` or `HELD_OUT`."""
         ensure_sequence(self.folder, self.settings)
-        return read_run_views(self.folder, group)
+        return read_views(self.folder.cameras, group)
 
     @cached_property
     def pixel(self) -> float:
@@ -124,7 +123,7 @@ def read_settings(folder: RunFolder) -> Settings:
         ConfigError: a setting in it cannot be one.
     """
     folder.check_is_run()
-    known = _claimed(folder).get("settings_sha256")
+    known = read_if_whole(folder.environment).get("settings_sha256")
     changed = CheckpointError(f"{folder.config} is not as the run wrote it; let the same command go on")
     try:
         config = OmegaConf.to_container(OmegaConf.load(folder.config))
@@ -140,13 +139,6 @@ def read_settings(folder: RunFolder) -> Settings:
     if known is not None and known not in (digest_of_values(written), digest_of_values(kept)):
         raise changed
     return settings
-
-
-def _claimed(folder: RunFolder) -> dict[str, Any]:
-    """Returns what the run wrote of itself; nothing where that is damaged."""
-    with suppress(CheckpointError):
-        return read_json(folder.environment)
-    return {}
 
 
 def stages_with_avatar(folder: RunFolder) -> list[str]:

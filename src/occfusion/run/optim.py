@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 from occfusion.cpu.processes import is_helper
 from occfusion.files.atomic import write_bytes
@@ -23,90 +23,78 @@ OPACITY = 0.95
 """Of discs on the body that are to hide what lies behind them."""
 
 
-@dataclass(frozen=True)
-class Optimisation:
+def optimise(training: AvatarTraining, avatar: Avatar) -> Avatar:
     """Fits the avatar of the body to what is seen, and to a prior's score where the plan has a term of it.
 
     What follows it does not change it: variants whose plans agree on it share it.
 
-    Attributes:
-        training: of the run's avatar.
+    Returns:
+        the avatar trained, that of an earlier call, or that of another run.
+
+    Raises:
+        Interrupted: a signal stopped it; the same command continues.
     """
+    folder, settings = training.folder, training.settings
+    own = folder.stage("optim")
+    if own.has_avatar:
+        print(f"optim: finished before, taken from {own.path}")
+        _keep_tables(folder, RunFolder(own.path))
+        return load_avatar(own.avatar, avatar.body)
+    tell_damage(own)
+    if settings.trainer.fast_dev_run or is_helper():
+        _train(training, avatar)
+        return avatar
 
-    training: AvatarTraining
+    def make() -> None:
+        _train(training, avatar)
+        _copy_tables(folder, RunFolder(own.path))
 
-    def run(self, avatar: Avatar) -> Avatar:
-        """Returns the avatar trained, that of an earlier call, or that of another run.
+    chosen = settings.evaluation
+    curve = (chosen.curve, chosen.curve_images, chosen.curve_first_second, training.held_out_hash)
+    identity = {"settings": optim_hash(training.planned), "data": training.data_hash, "curve": curve}
+    shared = shared_folder(folder, settings.shared_dir, "optim", identity)
+    made = take_or_make(
+        shared,
+        own.path,
+        own.record,
+        is_whole=lambda: own.has_avatar,
+        make=make,
+        without=[own.checkpoint.name, own.earlier_checkpoint.name],
+    )
+    if made is None:
+        return avatar
+    print(f"optim: trained before, taken from {shared}")
+    _copy_tables(RunFolder(own.path), folder)
+    taken = load_avatar(own.avatar, avatar.body)
+    write_gaussians_ply(folder.point_cloud, taken.gaussians)
+    return taken
 
-        Raises:
-            Interrupted: a signal stopped it; the same command continues.
-        """
-        training = self.training
-        folder, settings = training.folder, training.settings
-        own = folder.stage("optim")
-        if own.has_avatar:
-            print(f"optim: finished before, taken from {own.path}")
-            _keep_tables(folder, RunFolder(own.path))
-            return load_avatar(own.avatar, avatar.body)
-        tell_damage(own)
-        if settings.trainer.fast_dev_run or is_helper():
-            self._train(avatar)
-            return avatar
 
-        def make() -> None:
-            self._train(avatar)
-            _copy_tables(folder, RunFolder(own.path))
-
-        chosen = settings.evaluation
-        curve = (chosen.curve, chosen.curve_images, chosen.curve_first_second, training.held_out_hash)
-        identity = {"settings": optim_hash(training.planned), "data": training.data_hash, "curve": curve}
-        shared = shared_folder(folder, settings.shared_dir, "optim", identity)
-        made = take_or_make(
-            shared,
-            own.path,
-            own.record,
-            is_whole=lambda: own.has_avatar,
-            make=make,
-            without=[own.checkpoint.name, own.earlier_checkpoint.name],
-        )
-        if made is None:
-            return avatar
-        print(f"optim: trained before, taken from {shared}")
-        _copy_tables(RunFolder(own.path), folder)
-        taken = load_avatar(own.avatar, avatar.body)
-        write_gaussians_ply(folder.point_cloud, taken.gaussians)
-        return taken
-
-    def _train(self, avatar: Avatar) -> None:
-        training = self.training
-        settings, renderer = training.planned, training.renderer
-        optim, checkpoint = settings.optim, training.folder.stage("optim").checkpoint
-        training.warm_up("optim")
-        distiller = None
-        if optim.sds.is_used:
-            distiller = Distiller(
-                make_score_prior(asdict(settings.prior), renderer.device),
-                optim.sds,
-                steps=optim.steps,
-                observed_frames=training.observed_frames,
-                body=avatar.body,
-                renderer=renderer,
-                seed=settings.seed,
-            )
-        stage = OptimStage(
-            avatar,
-            optim,
-            perceptual=training.metric if optim.lambda_lpips else None,
-            densifier=training.densifier(optim, optim.lambda_rgb),
-            surface=training.surface_prior(optim, avatar),
-            distiller=distiller,
-            uncertain=training.uncertain,
+def _train(training: AvatarTraining, avatar: Avatar) -> None:
+    settings, renderer = training.planned, training.renderer
+    optim, checkpoint = settings.optim, training.folder.stage("optim").checkpoint
+    training.warm_up("optim")
+    distiller = None
+    if optim.sds.is_used:
+        distiller = Distiller(
+            make_score_prior(asdict(settings.prior), renderer.device),
+            optim.sds,
+            steps=optim.steps,
+            observed_frames=training.observed_frames,
+            body=avatar.body,
             renderer=renderer,
             seed=settings.seed,
         )
-        if optim.observed_colors and (settings.trainer.fast_dev_run or not checkpoint.is_file()):
-            stage.clock.restore(start_as_observed(avatar, training))
-        training.train(stage, optim.steps, seconds_before=0.0)
+    stage = OptimStage(
+        avatar,
+        optim,
+        distiller=distiller,
+        uncertain=training.uncertain,
+        **training.shared(optim, training.surface_prior(optim, avatar)),
+    )
+    if optim.observed_colors and (settings.trainer.fast_dev_run or not checkpoint.is_file()):
+        stage.clock.restore(start_as_observed(avatar, training))
+    training.train(stage, optim.steps, seconds_before=0.0)
 
 
 def start_as_observed(avatar: Avatar, training: AvatarTraining) -> float:

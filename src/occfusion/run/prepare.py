@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Protocol
+from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
 
 from occfusion.cpu.memory import return_memory
 from occfusion.cpu.processes import is_helper, local_rank
-from occfusion.data import HumanDataModule
+from occfusion.data.module import HumanDataModule
 from occfusion.data.sampling import spread
 from occfusion.data.scene_registration import SceneRegistration
 from occfusion.files.atomic import write_json
@@ -26,18 +27,19 @@ from occfusion.observation.frames import ObservedFrame, observe_frames
 from occfusion.observation.key_light import KeyLight, find_key_light
 from occfusion.observation.pose_alignment import Alignment, align_poses, aligned_pose
 from occfusion.observation.pose_witness import Look
-from occfusion.perceptual import PerceptualMetric, load_perceptual, training_dtype
+from occfusion.perceptual import load_perceptual, training_dtype
 from occfusion.plan.decisions import is_alignment_asked, may_leave_out_networks
 from occfusion.plan.hidden import with_everything
 from occfusion.plan.make import Plan, make_plan, reached_sh_degree
 from occfusion.priors.build_prior import check_score_prior
 from occfusion.priors.calibration import measure_thickness
 from occfusion.run.bodies import make_body, make_data
+from occfusion.run.environment import accelerator_of
 from occfusion.run.evaluation import evaluation_metric
 from occfusion.run.folder import claim_run_folder
-from occfusion.run.init import MaskCompletion
-from occfusion.run.optim import Optimisation
-from occfusion.run.refine import Refinement
+from occfusion.run.init import complete_masks
+from occfusion.run.optim import optimise
+from occfusion.run.refine import refine
 from occfusion.run.sequence import record_sequence
 from occfusion.run.training import AvatarTraining
 from occfusion.settings.schema import Settings
@@ -87,15 +89,8 @@ class Observed:
         return str(self.summary["held_out_hash"])
 
 
-class RunStage(Protocol):
-    """A stage of a run, with all that it needs."""
-
-    def run(self, avatar: Avatar) -> Avatar:
-        """Returns the avatar as this stage leaves it; what is done already is taken over.
-
-        Raises:
-            Interrupted: a signal stopped it; the same command continues.
-        """
+RUN_STAGE = {"init": complete_masks, "optim": optimise, "refine": refine}
+"""What a stage does: returns the avatar as it leaves it; what is done already is taken over."""
 
 
 @dataclass(frozen=True)
@@ -103,26 +98,16 @@ class Run:
     """The objects of one run.
 
     Attributes:
-        settings: as the user asked, typed and checked.
-        plan: what the scene needs of them.
-        folder: claimed for this run.
-        data: the training and held-out frames.
+        plan: what the scene needs of the settings.
         avatar: untrained.
-        stages: those of the plan, in order.
-        metric: the perceptual metric of the evaluation; None where it asks for none.
+        training: what its stages share.
         coverage: how well the training views show the body; None where no view does.
-        renderer: draws avatars.
     """
 
-    settings: Settings
     plan: Plan
-    folder: RunFolder
-    data: HumanDataModule
     avatar: Avatar
-    stages: Sequence[RunStage]
-    metric: PerceptualMetric | None
+    training: AvatarTraining
     coverage: BodyCoverage | None
-    renderer: Renderer
 
     def run_stages(self) -> Avatar:
         """Returns the avatar of the last stage; where none trains it, as it was built.
@@ -131,9 +116,9 @@ class Run:
             Interrupted: a signal stopped it; the same command continues.
         """
         avatar = self.avatar
-        for stage in self.stages:
+        for stage in self.plan.stages:
             return_memory()  # what was observed, or trained, took some for a while
-            avatar = stage.run(avatar)
+            avatar = RUN_STAGE[stage](self.training, avatar)
         return_memory()
         return avatar
 
@@ -174,23 +159,15 @@ def observe(settings: Settings) -> Observed:
     if is_closed and coverage is not None and observed_frames is not None:
         surface = _observe_surface(data, body, coverage, observed_frames)
     return Observed(
-        body,
-        data,
-        data.summary(),
-        registered,
-        observed_frames,
-        key_light,
-        coverage,
-        surface,
-        make_renderer(settings),
-        alignment,
-    )
+        body, data, data.summary(), registered, observed_frames, key_light, coverage, surface,
+        make_renderer(settings), alignment,
+    )  # fmt: skip
 
 
 def make_renderer(settings: Settings) -> Renderer:
     """Returns what draws in a run, on the device that it trains on."""
-    on_gpu = settings.trainer.accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
-    device = torch.device("cuda", local_rank()) if on_gpu else torch.device("cpu")
+    name = accelerator_of(settings)
+    device = torch.device(name, local_rank()) if name == "cuda" else torch.device(name)
     return Renderer(settings.rasterizer.name, device)
 
 
@@ -202,17 +179,19 @@ def _register_and_align(
     Each may be mistaken for the other. A shift that is certain whatever the poses are is taken out of the cameras, and
     poses are aligned behind it; another one takes held-out cameras to confirm it.
     """
-    faces, knots = body.faces.cpu().numpy(), settings.optim.pose_knots
-    count, alignment = len(data.train_indices), None
-    if is_alignment_asked(settings):
-        looks = [Look.at(data.train_frame(k, truth=False)) for k in range(count)]
-        alignment = align_poses(looks, body, knots, registered=settings.registration == "off")
-    if settings.registration == "off":
+
+    def align(*, registered: bool) -> Alignment | None:
+        looks = [Look.at(data.train_frame(k, truth=False)) for k in range(len(data.train_indices))]
+        return align_poses(looks, body, settings.optim.pose_knots, registered=registered)
+
+    is_off = settings.registration == "off"
+    alignment = align(registered=is_off) if is_alignment_asked(settings) else None
+    if is_off:
         return None, alignment
-    registered = data.register(faces, poses_may_explain=alignment is not None and not alignment.shows_shift)
+    may_explain = alignment is not None and not alignment.shows_shift
+    registered = data.register(body.faces.cpu().numpy(), poses_may_explain=may_explain)
     if alignment is not None and registered.corrections:
-        looks = [Look.at(data.train_frame(k, truth=False)) for k in range(count)]
-        alignment = align_poses(looks, body, knots, registered=True)
+        alignment = align(registered=True)
     return registered, alignment
 
 
@@ -232,7 +211,7 @@ def _observe_surface(
 ) -> ObservedSurface:
     vertices, faces = body.da_vertices().cpu().numpy(), body.faces.cpu().numpy()
     known = observe_surface(coverage.coverage, vertices, faces)
-    thickness = measure_thickness(observed_frames, lambda k: data.train_frame(k, truth=False), body)
+    thickness = measure_thickness(observed_frames, partial(data.train_frame, truth=False), body)
     focal = float(data.train_frame(0, truth=False).camera.K[0, 0])
     depth = float(np.median([np.median(frame.projected.depths) for frame in observed_frames]))
     ignorance, turn = (
@@ -258,25 +237,18 @@ def decide(settings: Settings, observed: Observed) -> Plan:
     Raises:
         ConfigError: weights or packages of such a network are missing; those of others may be absent.
     """
+    renderer = observed.renderer
     plan = make_plan(
-        settings,
-        observed.summary,
-        observed.renderer.backend,
-        observed.frames,
-        observed.key_light,
-        observed.registered,
-        observed.surface,
-        observed.coverage,
-        observed.renderer.device,
-        observed.alignment,
-    )
+        settings, observed.summary, renderer.backend, observed.frames, observed.key_light, observed.registered,
+        observed.surface, observed.coverage, renderer.device, observed.alignment,
+    )  # fmt: skip
     planned = plan.settings
     if {"optim", "refine"} & set(plan.stages) and planned.optim.unseen_colors == "prior":
         check_completion_net(planned.prior.completion.weights)  # small: loaded to see that it can be
     if "optim" in plan.stages and planned.optim.sds.is_used:
         check_score_prior(asdict(planned.prior))
     if "refine" in plan.stages and planned.refine.references.source == "prior" and plan.inpaints:
-        check_inpainter(asdict(planned.prior), observed.renderer.device)
+        check_inpainter(asdict(planned.prior), renderer.device)
     return plan
 
 
@@ -294,10 +266,7 @@ def claim(
         ConfigError: the folder that the user named holds another run, or cannot be written.
     """
     folder = claim_run_folder(
-        settings,
-        observed.data_hash,
-        chosen_by_user=folder_chosen_by_user,
-        data=observed.summary["taken"],
+        settings, observed.data_hash, chosen_by_user=folder_chosen_by_user, data=observed.summary["taken"]
     )
     if not is_helper():
         seen = None if observed.coverage is None else observed.coverage.json()
@@ -327,15 +296,15 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         OccfusionError: what the perceptual metric needs is missing.
     """
     trained = [getattr(settings, stage) for stage in plan.stages if stage != "init"]
-    training = evaluating = None
+    metric = evaluating = None
     if settings.evaluation.perceptual or any(stage.lambda_lpips for stage in trained):
         perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
-        training = perceptual.with_dtype(
-            training_dtype(settings.perceptual.precision, observed.renderer.device)
-        )
+        precision = training_dtype(settings.perceptual.precision, observed.renderer.device)
+        metric = perceptual.with_dtype(precision)
         evaluating = evaluation_metric(settings.evaluation, perceptual)
     frames = observed.frames or []
-    shared = AvatarTraining(
+    is_aligned = observed.alignment is not None and observed.alignment.is_taken
+    training = AvatarTraining(
         settings=settings,
         planned=plan.settings,
         folder=folder,
@@ -345,31 +314,12 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         observed_frames=frames,
         uncertain=UncertainMasks.found(frames),
         surface=observed.surface,
-        metric=training,
+        metric=metric,
         evaluation_metric=evaluating,
         renderer=observed.renderer,
+        aligned=settings.optim.pose_knots if is_aligned else 0,
     )
-    masks = MaskCompletion(
-        settings,
-        folder,
-        observed.data,
-        observed.data_hash,
-        frames,
-        observed.renderer.device,
-        settings.optim.pose_knots if observed.alignment is not None and observed.alignment.is_taken else 0,
-    )
-    known: dict[str, RunStage] = {"init": masks, "optim": Optimisation(shared), "refine": Refinement(shared)}
-    return Run(
-        settings=settings,
-        plan=plan,
-        folder=folder,
-        data=observed.data,
-        avatar=_make_avatar(plan.settings, observed),
-        stages=[known[name] for name in plan.stages],
-        metric=evaluating,
-        coverage=observed.coverage,
-        renderer=observed.renderer,
-    )
+    return Run(plan, _make_avatar(plan.settings, observed), training, observed.coverage)
 
 
 def _make_avatar(planned: Settings, observed: Observed) -> Avatar:

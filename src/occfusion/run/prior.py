@@ -23,7 +23,6 @@ from occfusion.prior_training.silhouette_task import SilhouetteTask
 from occfusion.prior_training.task import PriorTask
 from occfusion.priors.embedded.network_file import load_net, save_net
 from occfusion.run.folder import claim_run_folder
-from occfusion.run.optim import Optimisation
 from occfusion.run.prepare import build, claim, decide, observe
 from occfusion.run.training import fit
 from occfusion.settings.datasets import SyntheticSettings
@@ -120,10 +119,9 @@ def train_coarse(settings: Settings, scene: CoarseScene, place: Path) -> Coarse:
     plan = decide(own, observed)
     folder = claim(own, observed, plan, folder_chosen_by_user=True)
     run = build(own, observed, plan, folder)
-    (training,) = (stage.training for stage in run.stages if isinstance(stage, Optimisation))
     avatar, data = run.run_stages(), observed.data
     frames = [data.train_frame(k, complete="init" in plan.stages) for k in range(len(data.train_indices))]
-    return Coarse(avatar.eval(), frames, observed.frames, observed.renderer, training.complete)
+    return Coarse(avatar.eval(), frames, observed.frames, observed.renderer, run.training.complete)
 
 
 def _make_task(training: PriorTrainingSettings, place: Path, settings: Settings) -> PriorTask[Any]:
@@ -146,10 +144,8 @@ def _first_net(task: PriorTask[Any], training: PriorTrainingSettings) -> tuple[t
     if training.start is None:
         return net, None
 
-    def make(*_: object) -> torch.nn.Module:
-        return net
-
-    _, card = load_net(training.start, task.kind, task.size, make, "prior_training.start", task.version)
+    where = "prior_training.start"
+    _, card = load_net(training.start, task.kind, task.size, lambda *_: net, where, task.version)
     return net.train().requires_grad_(True), str(card["sha256"])
 
 

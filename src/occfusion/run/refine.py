@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
+from functools import partial
 
 import torch
 
@@ -21,79 +22,62 @@ from occfusion.stages.inpaint import InpaintStage
 from occfusion.stages.references import References
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.targets import Masks
-from occfusion.types import Frame
 
 
-@dataclass(frozen=True)
-class Refinement:
+def refine(training: AvatarTraining, avatar: Avatar) -> Avatar:
     """Trains the avatar of the optimisation on, with references for what no frame shows.
 
-    Attributes:
-        training: of the run's avatar.
+    Returns:
+        the avatar trained on, or that of an earlier call.
+
+    Raises:
+        Interrupted: a signal stopped it; the same command continues.
     """
+    settings, folder = training.planned, training.folder
+    own, chosen = folder.stage("refine"), settings.refine
+    coarse = hashlib.sha256(folder.stage("optim").avatar.read_bytes()).hexdigest()[:16]
+    identity = {"data": training.data_hash, "avatar": coarse}
+    if own.has_avatar:
+        if folder.inpainted.altered():
+            make_references(training, avatar, identity)
+        print(f"refine: finished before, taken from {own.path}")
+        return load_avatar(own.avatar, avatar.body)
+    tell_damage(own)
+    training.warm_up("refine")
+    started = time.monotonic()
+    references, accumulated = make_references(training, avatar, identity)
+    surface = training.surface_prior(chosen, avatar)
+    colour_shares = None
+    if surface is not None and chosen.surface.hold:
+        accumulated = accumulated or training.accumulate(avatar, LOOKED_AT)
+        colour_shares = learning_shares(avatar, accumulated)
+    seconds = time.monotonic() - started
+    is_held = chosen.hidden.target == "outline" and chosen.hidden.effective_weight > 0
+    outlines = _outlines(training, avatar) if is_held else {}
+    avatar.gaussians.allocate_bands(refined_sh_degree(settings))
+    stage = RefineStage(
+        avatar,
+        chosen,
+        references,
+        training.uncertain,
+        outlines,
+        colour_shares=colour_shares,
+        steps_before=steps_of(settings, settings.optim),
+        **training.shared(chosen, surface),
+    )
+    training.train(stage, chosen.steps, seconds_before=seconds)
+    return avatar
 
-    training: AvatarTraining
 
-    def run(self, avatar: Avatar) -> Avatar:
-        """Returns the avatar trained on, or that of an earlier call.
-
-        Raises:
-            Interrupted: a signal stopped it; the same command continues.
-        """
-        training = self.training
-        settings, folder, renderer = training.planned, training.folder, training.renderer
-        own, refine = folder.stage("refine"), settings.refine
-        coarse = hashlib.sha256(folder.stage("optim").avatar.read_bytes()).hexdigest()[:16]
-        identity = {"data": training.data_hash, "avatar": coarse}
-        if own.has_avatar:
-            if folder.inpainted.altered():
-                make_references(training, avatar, identity)
-            print(f"refine: finished before, taken from {own.path}")
-            return load_avatar(own.avatar, avatar.body)
-        tell_damage(own)
-        training.warm_up("refine")
-        started = time.monotonic()
-        references, accumulated = make_references(training, avatar, identity)
-        surface = training.surface_prior(refine, avatar)
-        colour_shares = None
-        if surface is not None and refine.surface.hold:
-            accumulated = accumulated or training.accumulate(avatar, LOOKED_AT)
-            colour_shares = learning_shares(avatar, accumulated)
-        seconds = time.monotonic() - started
-        is_held = refine.hidden.target == "outline" and refine.hidden.effective_weight > 0
-        outlines = self._outlines(avatar) if is_held else {}
-        avatar.gaussians.allocate_bands(refined_sh_degree(settings))
-        stage = RefineStage(
-            avatar,
-            refine,
-            references,
-            training.uncertain,
-            outlines,
-            perceptual=training.metric if refine.lambda_lpips else None,
-            densifier=training.densifier(refine, refine.lambda_rgb),
-            surface=surface,
-            colour_shares=colour_shares,
-            renderer=renderer,
-            seed=settings.seed,
-            steps_before=steps_of(settings, settings.optim),
-        )
-        training.train(stage, refine.steps, seconds_before=seconds)
-        return avatar
-
-    def _outlines(self, avatar: Avatar) -> Masks:
-        """Returns what the avatar covers by more than half in the frames with a doubt, bool `[H, W]`."""
-        training = self.training
-        avatar.eval()
-        doubtful = [
-            k
-            for k, observed_frame in enumerate(training.observed_frames)
-            if observed_frame.index in training.uncertain.hidden
-        ]
-        frames = (training.data.train_frame(k, truth=False) for k in doubtful)
-        outlines = PackedMasks()
-        for frame in frames:
+def _outlines(training: AvatarTraining, avatar: Avatar) -> Masks:
+    """Returns what the avatar covers by more than half in the frames with a doubt, bool `[H, W]`."""
+    outlines = PackedMasks()
+    avatar.eval()
+    for position, observed_frame in enumerate(training.observed_frames):
+        if observed_frame.index in training.uncertain.hidden:
+            frame = training.data.train_frame(position, truth=False)
             outlines.put(frame.index, training.renderer.outline(avatar, frame).cpu().numpy())
-        return outlines
+    return outlines
 
 
 def make_references(
@@ -116,9 +100,6 @@ def make_references(
         print(f"refine: none of {len(observed_frames)} frames is occluded, none is inpainted")
         return References(folder.inpainted, frozenset()), None
 
-    def read(position: int) -> Frame:
-        return data.train_frame(position, truth=False, complete=True)
-
     inpainter, pixels = _make_inpainter(settings, data, renderer.device), settings.refine.references.pixels
     stage = InpaintStage(
         inpainter, avatar.eval(), observed_frames, folder.inpainted, identity, renderer, pixels
@@ -128,6 +109,7 @@ def make_references(
     wanted = stage.wanted
     if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
         wanted = [k for k in wanted if k == data.position_at(0)]
+    read = partial(data.train_frame, truth=False, complete=True)
     stage.treat(read, wanted, progress=settings.trainer.enable_progress_bar)
     seconds = time.monotonic() - started
     print(f"refine: references made in {seconds:.1f} s; {stage.counted}")
@@ -139,6 +121,5 @@ def _make_inpainter(settings: Settings, data: HumanDataModule, device: torch.dev
         return make_inpainter(asdict(settings.prior), device)
     if settings.refine.references.source == "coarse":
         return CoarsePictures()
-    return TruthPictures(
-        {name: truth.rgb.numpy() for name, truth in training_truths(data, "refine.references")}
-    )
+    truths = training_truths(data, "refine.references")
+    return TruthPictures({name: truth.rgb.numpy() for name, truth in truths})

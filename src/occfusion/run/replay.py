@@ -72,8 +72,9 @@ def replay(path: Path) -> Replayed:
         shutil.copytree(folder.path, copy.path)
         one = replace(asked.trainer, max_steps=step + 1)
         run = build(replace(asked, trainer=one, shared_dir=str(Path(place) / "shared")), observed, plan, copy)
+        now = None
         try:
             run.run_stages()
         except NumericsError as error:
-            return Replayed(stage, step, str(kept["frame"]), str(kept["why"]), str(error), same)
-    return Replayed(stage, step, str(kept["frame"]), str(kept["why"]), None, same)
+            now = str(error)
+    return Replayed(stage, step, str(kept["frame"]), str(kept["why"]), now, same)

@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from occfusion.data.video.pose_table import measured_up
 from occfusion.files.run_folder import RunFolder
-from occfusion.motion import Clip, read_sequence, write_clip
+from occfusion.motion import Clip, write_clip
 from occfusion.run.bodies import make_body, make_data
 from occfusion.settings.schema import Settings
-from occfusion.show.views import HELD_OUT, TRAIN, View, read_views, write_views
+from occfusion.show.views import HELD_OUT, TRAIN, View, write_views
 from occfusion.synth.motion import TAKE_RATE
 
 if TYPE_CHECKING:
-    from occfusion.data import HumanDataModule
+    from occfusion.data.module import HumanDataModule
 
 
 def record_sequence(folder: RunFolder, data: HumanDataModule, settings: Settings) -> None:
     """Writes the poses and cameras of a run's frames, training ones first in the list of cameras."""
     write_clip(folder.motion, own_clip(data, settings))
-    write_views(folder.cameras, {TRAIN: _training_views(data), HELD_OUT: _held_out_views(data)})
+    (trained,) = data.train_cameras
+    training = (
+        View(data.camera_at(frame, trained), frame, trained, f"training, frame {frame}")
+        for frame in data.train_indices
+    )
+    held_out = (
+        View(data.camera_at(frame, camera), frame, camera, f"camera {camera}, frame {frame}")
+        for frame, camera in data.test_views
+    )
+    write_views(folder.cameras, {TRAIN: training, HELD_OUT: held_out})
 
 
 def own_clip(data: HumanDataModule, settings: Settings) -> Clip:
@@ -43,17 +51,6 @@ def own_clip(data: HumanDataModule, settings: Settings) -> Clip:
     )
 
 
-def _training_views(data: HumanDataModule) -> Iterator[View]:
-    (camera,) = data.train_cameras
-    for frame in data.train_indices:
-        yield View(data.camera_at(frame, camera), frame, camera, f"training, frame {frame}")
-
-
-def _held_out_views(data: HumanDataModule) -> Iterator[View]:
-    for frame, camera in data.test_views:
-        yield View(data.camera_at(frame, camera), frame, camera, f"camera {camera}, frame {frame}")
-
-
 def ensure_sequence(folder: RunFolder, settings: Settings) -> None:
     """Writes the record of the sequence where a run is older than it; its data are read for that.
 
@@ -67,13 +64,3 @@ def ensure_sequence(folder: RunFolder, settings: Settings) -> None:
     if settings.registration == "auto":
         data.register(body.faces.cpu().numpy())
     record_sequence(folder, data, settings)
-
-
-def read_run_clip(folder: RunFolder) -> Clip:
-    """Returns the clip of a run's own sequence, of which there is a record."""
-    return read_sequence(folder.motion, "sequence")
-
-
-def read_run_views(folder: RunFolder, group: str) -> list[View]:
-    """Returns the views of a run, of which there is a record: `show.views.TRAIN` or `HELD_OUT`."""
-    return read_views(folder.cameras, group)

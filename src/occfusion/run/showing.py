@@ -22,11 +22,12 @@ from occfusion.motion import (
     leg_length,
     perform,
     read_clip,
+    read_sequence,
     spread_rows,
 )
 from occfusion.run.bodies import make_body, make_data
 from occfusion.run.loaded import LoadedRun, read_settings
-from occfusion.run.sequence import ensure_sequence, read_run_clip
+from occfusion.run.sequence import ensure_sequence
 from occfusion.show.drawing import Painter, parse_light, world_to_clip
 from occfusion.show.film import Picture
 from occfusion.show.paths import Framing, Shot, bullet_time, fitted, spiral, still, turntable
@@ -79,10 +80,10 @@ def find_clip(run: LoadedRun, choice: MotionChoice) -> tuple[Clip, float | None]
     elif (other := RunFolder(path)).config.is_file():
         settings = read_settings(other)
         ensure_sequence(other, settings)
-        clip = read_run_clip(other)
+        clip = read_sequence(other.motion, path.name)
         assert clip.betas is not None
         legs = leg_length(make_body(settings.body).rest(torch.from_numpy(clip.betas).float()).joints)
-        clip = replace(clip, name=path.name, numbers=None, betas=None)
+        clip = replace(clip, numbers=None, betas=None)
     elif path.is_file():
         clip = read_clip(path, choice.own_fps)
     else:
@@ -200,10 +201,7 @@ def _rows_of_views(
         chosen = known if frames is None else [known[k] for k in spread_rows(frames, len(known))]
         return [places[float(view.frame)] for view in chosen if view.frame is not None], chosen
     count = frames or max(len(views), len(performance))
-    return (
-        list(spread_rows(count, len(performance))),
-        [views[k] for k in spread_rows(count, len(views))],
-    )
+    return list(spread_rows(count, len(performance))), [views[k] for k in spread_rows(count, len(views))]
 
 
 def inputs_of(run: LoadedRun, views: list[View], size: tuple[int, int] | None) -> Iterator[Picture]:

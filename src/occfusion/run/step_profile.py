@@ -16,11 +16,9 @@ import occfusion.stages.optim as optim_module
 import occfusion.stages.refine as refine_module
 from occfusion.bench.probes import BACKWARD, FORWARD, Probes, Spent
 from occfusion.bench.steps import PERCEPTUAL, RASTERISER, PartTime, StepProfile
-from occfusion.data import HumanDataModule
+from occfusion.data.module import HumanDataModule
 from occfusion.quality import losses
-from occfusion.run.optim import Optimisation
-from occfusion.run.prepare import build, claim, decide, observe
-from occfusion.run.refine import Refinement
+from occfusion.run.prepare import RUN_STAGE, build, claim, decide, observe
 from occfusion.settings.schema import Settings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.losses_log import LossLog
@@ -179,10 +177,8 @@ def profile_stages(
     planned = replace(plan.settings, optim=replace(plan.settings.optim, gaussians=gaussians))
     plan = replace(plan, settings=planned)
     run = build(settings, observed, plan, claim(settings, observed, plan, folder_chosen_by_user=True))
-    avatar = run.avatar
-    for stage in run.stages:
+    avatar, training = run.avatar, replace(run.training, watching=(watch,))
+    for stage in plan.stages:
         known = len(watch.profiles)
-        if isinstance(stage, (Optimisation, Refinement)):
-            stage = replace(stage, training=replace(stage.training, watching=(watch,)))
-        avatar = stage.run(avatar)
+        avatar = RUN_STAGE[stage](training, avatar)
         yield from watch.profiles[known:]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import lightning as L
 import numpy as np
+from lightning.pytorch.loggers import Logger
 
 from occfusion.cpu.processes import is_helper, tell_helpers
 from occfusion.data.module import HumanDataModule
@@ -28,6 +30,7 @@ from occfusion.inpaint.accumulation import Accumulated, accumulate
 from occfusion.inpaint.completion import ColorCompleter, write_completion
 from occfusion.observation.frames import ObservedFrame
 from occfusion.perceptual import PerceptualMetric
+from occfusion.run.environment import accelerator_of
 from occfusion.settings.schema import Settings
 from occfusion.settings.stages import AvatarSettings
 from occfusion.stages.avatar import AvatarStage
@@ -35,12 +38,12 @@ from occfusion.stages.base import Stage
 from occfusion.stages.checkpointing import Checkpointing, resumable
 from occfusion.stages.curve import ErrorCurve
 from occfusion.stages.interruption import Interrupted, SignalGuard
-from occfusion.stages.loggers import Logs, Pictured, Place, make_logs
-from occfusion.stages.parallel import SharedDensification, trainer_options
+from occfusion.stages.loggers import Pictured, make_logs
+from occfusion.stages.parallel import AvatarDDP, SharedDensification
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import UncertainMasks
-from occfusion.types import Frame, Rendering, Truth
+from occfusion.types import Frame, Truth
 
 LOOKED_AT = 200
 """Frames at most that say what colours Gaussians start with, and how fast they learn."""
@@ -104,31 +107,31 @@ def fit(
         CheckpointError: the checkpoint is damaged.
         DataError: what it trains on ended early.
     """
-    chosen, guard, logs = settings.trainer, SignalGuard(), Logs([], [])
+    chosen, guard = settings.trainer, SignalGuard()
+    loggers, logging = list[Logger](), list[L.Callback]()
     earlier = None if chosen.fast_dev_run else resumable(checkpoint, stage)
     progress = chosen.enable_progress_bar and not is_helper()
     if not is_helper():  # one process alone logs
-        place = Place(folder, stage.name, earlier, is_trial=chosen.fast_dev_run)
-        logs = make_logs(settings.logger, place, asdict(settings), pictured)
-    callbacks: list[L.Callback] = [guard, SharedDensification(), *logs.callbacks, *measuring]
+        loggers, logging = make_logs(settings, folder, stage.name, earlier, pictured)
+    callbacks: list[L.Callback] = [guard, SharedDensification(), *logging, *measuring]
     if not chosen.fast_dev_run:
         callbacks.append(Checkpointing(checkpoint, chosen.checkpoint_every))
     if progress:
         callbacks.append(ProgressLine())
     callbacks += watching
     trainer = L.Trainer(
-        accelerator=chosen.accelerator,
+        accelerator=accelerator_of(settings),
         devices=devices,
+        strategy="auto" if devices == 1 else AvatarDDP(),
         max_steps=chosen.max_steps or steps,
         max_epochs=-1,
         max_time=chosen.max_time,
         fast_dev_run=chosen.fast_dev_run,
-        logger=logs.loggers or False,
+        logger=loggers or False,
         enable_checkpointing=False,
         enable_model_summary=False,
         enable_progress_bar=progress,
         callbacks=callbacks,
-        **trainer_options(devices),
     )
     with guard:
         trainer.fit(stage, batches, ckpt_path=earlier, weights_only=True)
@@ -149,7 +152,7 @@ def _tell_early_end(name: str, steps: int, wanted: int, max_time: str | None) ->
 
 @dataclass(frozen=True)
 class AvatarTraining:
-    """What the stages that train an avatar share in a run.
+    """What the stages of a run share.
 
     Attributes:
         settings: as the user asked.
@@ -164,6 +167,7 @@ class AvatarTraining:
         metric: of the perceptual loss term; None where no stage has it.
         evaluation_metric: of the error curve; None where it has no perceptual figure.
         renderer: draws avatars.
+        aligned: frames between knots of the alignment that the poses of the observed frames have; 0: none, as given.
         watching: callbacks that come last, for whoever looks at the training from outside.
     """
 
@@ -179,6 +183,7 @@ class AvatarTraining:
     metric: PerceptualMetric | None
     evaluation_metric: PerceptualMetric | None
     renderer: Renderer
+    aligned: int
     watching: Sequence[L.Callback] = ()
 
     def warm_up(self, name: str) -> None:
@@ -190,10 +195,18 @@ class AvatarTraining:
             ready = f"rasteriser {self.renderer.backend} ready after {seconds:.1f} s"
             print(f"{name}: {ready}, before the training clock starts")
 
-    @staticmethod
-    def densifier(settings: AvatarSettings, lambda_rgb: float) -> Densifier | None:
-        """Returns the densification of a stage; its threshold belongs to a loss whose colour term has weight 1."""
-        return Densifier(settings.densification, loss_scale=lambda_rgb or 1.0) if settings.densify else None
+    def shared(self, settings: AvatarSettings, surface: SurfacePrior | None) -> dict[str, Any]:
+        """Returns what every `AvatarStage` takes besides avatar and settings."""
+        densifier = None
+        if settings.densify:  # its threshold belongs to a loss whose colour term has weight 1
+            densifier = Densifier(settings.densification, loss_scale=settings.lambda_rgb or 1.0)
+        return {
+            "perceptual": self.metric if settings.lambda_lpips else None,
+            "densifier": densifier,
+            "renderer": self.renderer,
+            "seed": self.settings.seed,
+            "surface": surface,
+        }
 
     def surface_prior(self, settings: AvatarSettings, avatar: Avatar) -> SurfacePrior | None:
         """Returns what closes an avatar's surface in a stage; None where the plan leaves that out."""
@@ -252,8 +265,7 @@ class AvatarTraining:
         """
         settings, data, avatar, own = self.settings, self.data, stage.avatar, self.folder.stage(stage.name)
 
-        def render(frame: Frame) -> Rendering:
-            return self.renderer.frame(avatar, frame)
+        render = partial(self.renderer.frame, avatar)
 
         def views() -> Mapping[str, Frame]:
             found = {"training": data.spread_train_frames(1), "held_out": data.spread_test_frames(1)}

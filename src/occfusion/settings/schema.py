@@ -295,11 +295,9 @@ def stages_to_run(settings: Settings) -> list[str]:
 
     A stage needs the results of those before it; what is done already is not done again.
     """
-    if settings.stage.name == PRIOR_STAGE:
+    asked, stages = settings.stage.name, list(settings.variant.stages)
+    if asked == PRIOR_STAGE:
         return []
-    if settings.stage.name == "all":
-        return list(settings.variant.stages)
-    stages = list(settings.variant.stages)
-    if settings.stage.name not in stages:
-        return [settings.stage.name]
-    return stages[: stages.index(settings.stage.name) + 1]
+    if asked == "all":
+        return stages
+    return stages[: stages.index(asked) + 1] if asked in stages else [asked]

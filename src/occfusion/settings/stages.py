@@ -351,7 +351,7 @@ class RefineSettings(AvatarSettings):
     """The refinement stage (paper §4.3)."""
 
     references: ReferenceSettings = field(default_factory=ReferenceSettings)
-    steps: int = with_default(AvatarSettings, "steps", 1300)
+    steps: int = with_default(AvatarSettings, "steps", 900)
     lambda_rgb: float = with_default(AvatarSettings, "lambda_rgb", 1.0)
     lambda_mask: float = with_default(AvatarSettings, "lambda_mask", 2.0)
     lambda_ssim: float = with_default(AvatarSettings, "lambda_ssim", 0.2)
@@ -363,7 +363,7 @@ class RefineSettings(AvatarSettings):
         default_factory=lambda: Densification(
             after_step=0,
             every=100,
-            before_step=601,
+            before_step=501,
             gradient=4e-4,
             from_body=0.15,
             divide=True,

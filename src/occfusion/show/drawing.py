@@ -114,8 +114,7 @@ class Painter:
         self.avatar = avatar
         self.performance = performance
         self._renderer = renderer
-        turned = None if light.vector is None else performance.upright[:3, :3].T @ light.vector
-        avatar.relight(turned)
+        avatar.relight(None if light.vector is None else performance.upright[:3, :3].T @ light.vector)
 
     @torch.inference_mode()
     def draw(self, shot: Shot, *, normals: bool = False) -> Layers:
@@ -134,10 +133,10 @@ class Painter:
     def cloud(self, shot: Shot) -> Cloud:
         """Returns the Gaussians of a shot, with the footprint that fits its size."""
         centre = shot.camera.centre
-        avatar = self.avatar
-        cloud = (
-            avatar.canonical(centre) if shot.row is None else avatar(self.performance.pose(shot.row), centre)
-        )
+        if shot.row is None:
+            cloud = self.avatar.canonical(centre)
+        else:
+            cloud = self.avatar(self.performance.pose(shot.row), centre)
         return replace(cloud, dilation=footprint(cloud.dilation, shot.scale))
 
     def _normals(self, shot: Shot, cloud: Cloud) -> Tensor:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,8 @@ from occfusion.files.images import read_rgb
 from occfusion.show.drawing import Layers
 
 Picture = NDArray[Any]
+Background = torch.Tensor | None
+"""`[H, W, 3]` in 0..1, at the size of the pictures, or `[3]`; None: nothing, pictures have alpha."""
 TRANSPARENT = "transparent"
 COLOURS = {"black": (0, 0, 0), "white": (255, 255, 255), "grey": (128, 128, 128)}
 MILLIMETRES = 1000.0
@@ -25,24 +26,8 @@ _NEAR_IS = 1.0, 0.25
 """Grey of the nearest and of the farthest depth that a film shows."""
 
 
-@dataclass(frozen=True)
-class Background:
-    """What lies behind the person.
-
-    Attributes:
-        picture: `[H, W, 3]` in 0..1, at the size of the pictures, or `[3]`; None: nothing, pictures have alpha.
-    """
-
-    picture: torch.Tensor | None
-
-    @property
-    def is_transparent(self) -> bool:
-        """Whether pictures have an alpha channel."""
-        return self.picture is None
-
-
 def parse_background(words: str, width: int, height: int) -> Background:
-    """Returns the background of a user's word.
+    """Returns what lies behind the person by a user's word.
 
     Args:
         words: `black`, `white`, `grey`, `#rrggbb`, `transparent`, or a picture, which covers the whole.
@@ -54,9 +39,9 @@ def parse_background(words: str, width: int, height: int) -> Background:
         DataError: the picture cannot be read.
     """
     if words == TRANSPARENT:
-        return Background(None)
+        return None
     if words in COLOURS:
-        return Background(torch.tensor(COLOURS[words]) / 255)
+        return torch.tensor(COLOURS[words]) / 255
     if words.startswith("#"):
         try:
             red, green, blue = bytes.fromhex(words[1:])
@@ -64,7 +49,7 @@ def parse_background(words: str, width: int, height: int) -> Background:
             raise ConfigError(
                 f"--background {words}: a colour has six hexadecimal digits, such as #2060a0"
             ) from None
-        return Background(torch.tensor([red, green, blue]) / 255)
+        return torch.tensor([red, green, blue]) / 255
     if not Path(words).is_file():
         raise ConfigError(
             f"--background {words}: {', '.join(COLOURS)}, #rrggbb, {TRANSPARENT}, or a picture's file; there is none"
@@ -77,7 +62,7 @@ def parse_background(words: str, width: int, height: int) -> Background:
     top, left = (grown.shape[0] - height) // 2, (grown.shape[1] - width) // 2
     cut = grown[max(top, 0) :, max(left, 0) :][:height, :width]
     cut = cv2.resize(cut, (width, height)) if cut.shape[:2] != (height, width) else cut
-    return Background(torch.from_numpy(np.ascontiguousarray(cut)).float() / 255)
+    return torch.from_numpy(np.ascontiguousarray(cut)).float() / 255
 
 
 def picture_of(
@@ -95,9 +80,8 @@ def picture_of(
         return _bytes(layers.alpha)
     if layer == "depth":
         if depths is None:
-            return (
-                (layers.depth * MILLIMETRES).clamp(0, 65535).round().to(torch.int32).numpy().astype(np.uint16)
-            )
+            whole = (layers.depth * MILLIMETRES).clamp(0, 65535).round()
+            return whole.to(torch.int32).numpy().astype(np.uint16)
         near, far = depths
         share = ((layers.depth - near) / max(far - near, 1e-6)).clamp(0, 1)
         grey = _NEAR_IS[0] + share * (_NEAR_IS[1] - _NEAR_IS[0])
@@ -106,12 +90,12 @@ def picture_of(
     if layer == "normals":
         assert layers.normals is not None
         over_black = (0.5 * layers.normals + 0.5) * layers.alpha[..., None]
-    if background.picture is None:
+    if background is None:
         straight = over_black / layers.alpha.clamp_min(1e-6)[..., None]
         return _bytes(torch.cat([straight, layers.alpha[..., None]], dim=-1))
-    if not bool(background.picture.any()):
+    if not bool(background.any()):
         return _bytes(over_black)
-    return _bytes(torch.addcmul(over_black, 1 - layers.alpha[..., None], background.picture))
+    return _bytes(torch.addcmul(over_black, 1 - layers.alpha[..., None], background))
 
 
 def _bytes(values: torch.Tensor) -> Picture:
@@ -136,7 +120,8 @@ def side_by_side(pictures: Sequence[Picture], names: Sequence[str]) -> Picture:
         )
     if len(pictures) == 1 and not names:
         return pictures[0]
-    coloured = [_with_channels(picture, max(_channels(p) for p in pictures)) for picture in pictures]
+    has_alpha = any(picture.shape[2:] == (4,) for picture in pictures)
+    coloured = [_coloured(picture, has_alpha) for picture in pictures]
     if names:
         coloured = [_captioned(picture, name) for picture, name in zip(coloured, names, strict=True)]
     return np.concatenate(coloured, axis=1)
@@ -150,21 +135,10 @@ def _captioned(picture: Picture, name: str) -> Picture:
     return np.concatenate([np.concatenate([bar, opaque], axis=2), picture])
 
 
-def _channels(picture: Picture) -> int:
-    return picture.shape[2] if picture.ndim == 3 else 1
-
-
-def _with_channels(picture: Picture, channels: int) -> Picture:
+def _coloured(picture: Picture, has_alpha: bool) -> Picture:
     """Returns a picture with 3 channels, or 4 where others have alpha."""
     if picture.ndim == 2:
         picture = np.repeat(picture[..., None], 3, axis=2)
-    if channels == 4 and picture.shape[2] == 3:
+    if has_alpha and picture.shape[2] == 3:
         picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=2)
     return picture
-
-
-def with_inputs(inputs: Iterator[Picture], height: int) -> Iterator[Picture]:
-    """Yields pictures of the input as high as the others."""
-    for picture in inputs:
-        width = round(picture.shape[1] * height / picture.shape[0])
-        yield cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)

@@ -49,14 +49,10 @@ def write_views(path: Path, groups: Mapping[str, Iterable[View]]) -> None:
 def _record(view: View) -> dict[str, Any]:
     camera = view.camera
     return {
-        "name": view.name,
-        "frame": view.frame,
-        "camera": view.camera_index,
-        "viewmat": camera.viewmat.double().tolist(),
-        "K": camera.K.double().tolist(),
-        "width": camera.width,
-        "height": camera.height,
-    }
+        "name": view.name, "frame": view.frame, "camera": view.camera_index,
+        "viewmat": camera.viewmat.double().tolist(), "K": camera.K.double().tolist(),
+        "width": camera.width, "height": camera.height,
+    }  # fmt: skip
 
 
 def read_views(path: Path, group: str = "cameras") -> list[View]:
@@ -86,21 +82,15 @@ def read_views(path: Path, group: str = "cameras") -> list[View]:
     for number, row in enumerate(rows):
         try:
             found.append(_checked(read(row)))
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        except (ArithmeticError, KeyError, TypeError, ValueError, RuntimeError) as error:
             raise DataError(f"{path}, {group}[{number}]: no camera ({error!r})") from error
     return found
 
 
 def _view(row: Mapping[str, Any]) -> View:
     camera = Camera(_matrix(row["viewmat"], 4), _matrix(row["K"], 3), int(row["width"]), int(row["height"]))
-    index = row.get("camera")
-    frame = row.get("frame")
-    return View(
-        camera,
-        None if frame is None else int(frame),
-        None if index is None else int(index),
-        str(row.get("name", "")),
-    )
+    frame, index = (None if row.get(key) is None else int(row[key]) for key in ("frame", "camera"))
+    return View(camera, frame, index, str(row.get("name", "")))
 
 
 def _nerfstudio(row: Mapping[str, Any], whole: Mapping[str, Any]) -> View:

@@ -9,8 +9,7 @@ from occfusion.errors import ConfigError
 from occfusion.splat.backends.registry import render_with, resolve_backend
 from occfusion.splat.limits import DEFAULT_LIMITS, NEAR, Limits
 from occfusion.splat.once import refuse_transforms
-from occfusion.splat.request import Request, check_request, read_intrinsics
-from occfusion.splat.values import check_values
+from occfusion.splat.request import Request, check_request, check_values, read_intrinsics
 from occfusion.types import Box, Rendering
 
 
@@ -84,4 +83,4 @@ def rasterize(
     check_request(request)
     check_values(request)
     with torch.autocast(means.device.type, enabled=False):  # bfloat16 is 4e-3 off, in silence
-        return Rendering(*render_with(resolve_backend(backend, means.device, means.dtype), request))
+        return render_with(resolve_backend(backend, means.device, means.dtype), request)

@@ -1,17 +1,30 @@
-"""One checked call of the rasteriser, as the backends receive it."""
+"""One checked call of the rasteriser, as the backends receive it.
+
+Each check of what tensors hold is a pass or two over them.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from occfusion.errors import ConfigError
+from occfusion.errors import ConfigError, NumericsError
 from occfusion.splat.harmonics import MAX_DEGREE, num_coefficients
-from occfusion.splat.limits import DEFAULT_LIMITS, Limits
+from occfusion.splat.limits import DEFAULT_LIMITS, NEAR, Limits
 from occfusion.types import Box
+
+GAUSSIAN_TENSORS = ("means", "quats", "scales", "opacities", "colors", "covariances", "screen_offsets")
+"""Fields of a `Request` with one row a Gaussian."""
+FARTHEST = 1e30
+"""Metres: beyond, squares of single precision overflow, and gradients are NaN."""
+RIGID = 1e-3
+"""How far a camera's axes may be from length 1 and right angles."""
+CORRELATED = 1e-2
+"""How far beyond 1 correlations of a covariance may be: those of needles in single precision are by rounding."""
 
 
 class Intrinsics(NamedTuple):
@@ -62,54 +75,23 @@ class Request:
     screen_offsets: Tensor | None = None
     background: Tensor | None = None
     antialiased: bool = False
-    near: float = 0.01
+    near: float = NEAR
     limits: Limits = DEFAULT_LIMITS
 
     def rows(self, index: Tensor) -> Request:
         """Returns the request for the Gaussians `index` `[V]` alone, in that order."""
-
-        def pick(tensor: Tensor | None) -> Tensor | None:
-            return None if tensor is None else tensor.index_select(0, index)
-
-        return replace(
-            self,
-            means=self.means.index_select(0, index),
-            quats=pick(self.quats),
-            scales=pick(self.scales),
-            opacities=self.opacities.index_select(0, index),
-            colors=self.colors.index_select(0, index),
-            covariances=pick(self.covariances),
-            screen_offsets=pick(self.screen_offsets),
-        )
+        chosen = {name: rows.index_select(0, index) for name, rows in self.gaussian_tensors().items()}
+        return replace(self, **chosen)  # type: ignore[arg-type]
 
     def in_double(self) -> Request:
         """Returns the request with the geometry, all but the colours, in float64; differentiable."""
-
-        def double(tensor: Tensor | None) -> Tensor | None:
-            return None if tensor is None else tensor.double()
-
-        return replace(
-            self,
-            means=self.means.double(),
-            quats=double(self.quats),
-            scales=double(self.scales),
-            opacities=self.opacities.double(),
-            viewmat=self.viewmat.double(),
-            covariances=double(self.covariances),
-            screen_offsets=double(self.screen_offsets),
-        )
+        geometry = {**self.gaussian_tensors(), "viewmat": self.viewmat}
+        del geometry["colors"]
+        return replace(self, **{name: tensor.double() for name, tensor in geometry.items()})  # type: ignore[arg-type]
 
     def gaussian_tensors(self) -> dict[str, Tensor]:
         """Returns the per-Gaussian inputs that are given, by name."""
-        named = {
-            "means": self.means,
-            "quats": self.quats,
-            "scales": self.scales,
-            "opacities": self.opacities,
-            "colors": self.colors,
-            "covariances": self.covariances,
-            "screen_offsets": self.screen_offsets,
-        }
+        named = {name: getattr(self, name) for name in GAUSSIAN_TENSORS}
         return {name: tensor for name, tensor in named.items() if tensor is not None}
 
 
@@ -181,6 +163,64 @@ def _check_colors(colors: Tensor, n: int, sh_degree: int | None) -> None:
     least = num_coefficients(sh_degree)
     if colors.ndim != 3 or shape[0] != n or shape[1] < least or shape[2] != 3:
         raise ConfigError(f"rasterize: colors has shape {shape}, sh_degree needs ({n}, {least} or more, 3)")
+
+
+@torch.no_grad()
+def check_values(request: Request) -> None:
+    """Refuses values that would spread over the picture, or have no meaning.
+
+    Raises:
+        NumericsError: naming the argument and how many rows are affected.
+    """
+    named = {**request.gaussian_tensors(), "viewmat": request.viewmat}
+    if request.background is not None:
+        named["background"] = request.background
+    for name, values in named.items():
+        # one fast pass for the usual case: a sum with NaN or infinity in it is not finite
+        if not bool(values.sum().isfinite()) and not bool(values.isfinite().all()):
+            rows = int((~values.isfinite()).sum())
+            raise NumericsError(f"rasterize: {name} holds {rows} values that are NaN or infinite")
+    if not len(request.means):
+        return
+    _refuse((request.means.abs() > FARTHEST).any(dim=1), f"means: {{}} are farther away than {FARTHEST:g} m")
+    low, high = request.opacities.aminmax()
+    if low < 0 or high > 1:
+        outside = (request.opacities < 0) | (request.opacities > 1)
+        _refuse(outside, "opacities: {} are outside 0..1; give probabilities, not logits")
+    # those that come out of a computation, as a posed body's, are factors times their transposes: 3 % of a step saved
+    if request.covariances is not None and request.covariances.grad_fn is None:
+        _refuse(_indefinite(request.covariances), "covariances: {} have a negative eigenvalue")
+    _check_rigid(request.viewmat)
+
+
+def _refuse(wrong: Tensor, text: str) -> None:
+    if bool(wrong.any()):
+        raise NumericsError(f"rasterize: {text.format(int(wrong.sum()))}")
+
+
+def _indefinite(covariances: Tensor) -> Tensor:
+    """Returns which matrices are no covariances, by their correlations, bool `[N]`."""
+    # rows of one entry each: operations on neighbours in memory take a third of the time
+    xx, xy, xz, _, yy, yz, _, _, zz = covariances.reshape(-1, 9).T.contiguous().unbind()
+    least = torch.finfo(xx.dtype).tiny
+    x, y, z = (part.clamp_min(least) for part in (xx, yy, zz))
+    a, b, c = xy / (x * y).sqrt_(), xz / (x * z).sqrt_(), yz / (y * z).sqrt_()
+    aa, bb, cc = a * a, b * b, c * c
+    beyond = torch.maximum(torch.maximum(aa, bb), cc) > 1 + 2 * CORRELATED
+    determinant = 1 + 2 * a * b * c - aa - bb - cc
+    negative = torch.minimum(torch.minimum(xx, yy), zz) < 0
+    return negative | beyond | (determinant < -4 * CORRELATED)
+
+
+def _check_rigid(viewmat: Tensor) -> None:
+    view = np.array(viewmat.tolist())
+    axes, identity = view[:3, :3], np.eye(4)
+    off = [*(axes @ axes.T - identity[:3, :3]).flat, np.linalg.det(axes) - 1.0, *(view[3] - identity[3])]
+    if np.abs(off).max() > RIGID:
+        raise NumericsError(
+            "rasterize: viewmat is not rigid: its first three rows must be a rotation and a translation in metres, its "
+            "last 0, 0, 0, 1"
+        )
 
 
 def read_intrinsics(K: Tensor) -> Intrinsics:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+STEP = 1e-5
+"""Of the largest entry of a vector in a difference, in the parameters' units."""
 Residuals = Callable[[], Tensor]
 """Residuals at what the parameters hold, of any shape, differentiable."""
 
@@ -29,20 +31,16 @@ class GaussNewton:
     residuals: Sequence[Residuals]
     parameters: Sequence[Tensor]
 
-    def product(self, vectors: Sequence[Tensor], step: float = 1e-5) -> list[Tensor]:
-        """Returns H v.
+    def product(self, vectors: Sequence[Tensor]) -> list[Tensor]:
+        """Returns H v, where v has one part a parameter.
 
         J v is a central difference, for rasterisers have a gradient and no forward mode; in float64, and with
         thresholds of the image formation too low to be seen, it has about eight digits.
-
-        Args:
-            vectors: v, one part a parameter.
-            step: of the largest entry of v in the difference, in the parameters' units.
         """
         largest = max(float(vector.abs().max()) for vector in vectors)
         if largest == 0.0:
             return [torch.zeros_like(vector) for vector in vectors]
-        length = step / largest
+        length = STEP / largest
         kept = [parameter.detach().clone() for parameter in self.parameters]
 
         def moved(sign: float, residual: Residuals) -> Tensor:
@@ -62,13 +60,13 @@ class GaussNewton:
                 sum_ += part
         return total
 
-    def samples(self, count: int, seed: int = 0) -> list[Tensor]:
+    def samples(self, count: int) -> list[Tensor]:
         """Returns `count` independent J^t w, w standard normal: one tensor a parameter, `[count, *shape]`.
 
         The mean of g g^t over them is H, and so is that of each block; the least eigenvalue of a block of n by n is
         found to a factor of about (1 - sqrt(n / count))^2, however bad its condition.
         """
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch.Generator().manual_seed(0)
         found = [parameter.new_zeros((count, *parameter.shape)) for parameter in self.parameters]
         for residual in self.residuals:
             value = residual()
@@ -78,14 +76,14 @@ class GaussNewton:
                     all_[k] += part
         return found
 
-    def matrix(self, step: float = 1e-5) -> Tensor:
+    def matrix(self) -> Tensor:
         """Returns the whole matrix of a single, small parameter, column by column, `[n, n]`."""
         (parameter,) = self.parameters
         columns = []
         for k in range(parameter.numel()):
             unit = torch.zeros_like(parameter).view(-1)
             unit[k] = 1.0
-            columns.append(self.product([unit.view_as(parameter)], step)[0].flatten())
+            columns.append(self.product([unit.view_as(parameter)])[0].flatten())
         found = torch.stack(columns)
         return 0.5 * (found + found.T)
 
@@ -99,7 +97,7 @@ class GaussNewton:
         ]
 
 
-def ritz_values(matrix: GaussNewton, steps: int, seed: int = 0, step: float = 1e-5) -> tuple[Tensor, Tensor]:
+def ritz_values(matrix: GaussNewton, steps: int) -> tuple[Tensor, Tensor]:
     """Returns eigenvalues of the Gauss-Newton matrix as Lanczos finds them, and the share of directions that each has.
 
     The first are its extreme eigenvalues from within; the shares are those of a random direction's squared length, so
@@ -108,10 +106,8 @@ def ritz_values(matrix: GaussNewton, steps: int, seed: int = 0, step: float = 1e
     Args:
         matrix: whose.
         steps: products at most.
-        seed: of the first direction.
-        step: see `GaussNewton.product`.
     """
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     sizes = [parameter.numel() for parameter in matrix.parameters]
     first = torch.randn(sum(sizes), generator=generator, dtype=torch.float64)
     basis, above, below = [first / first.norm()], [], []
@@ -120,7 +116,7 @@ def ritz_values(matrix: GaussNewton, steps: int, seed: int = 0, step: float = 1e
             part.view_as(parameter).to(parameter)
             for part, parameter in zip(basis[-1].split(sizes), matrix.parameters, strict=True)
         ]
-        found = torch.cat([part.flatten().double() for part in matrix.product(parts, step)])
+        found = torch.cat([part.flatten().double() for part in matrix.product(parts)])
         above.append(float(found @ basis[-1]))
         for _ in range(2):  # twice is enough to keep them orthogonal in any condition
             rows = torch.stack(basis)

@@ -17,10 +17,11 @@ from occfusion.files.atomic import write_bytes
 from occfusion.files.table import write_table
 from occfusion.human import embedded_body
 from occfusion.human.rendering import Renderer
+from occfusion.report.drawing import BELOW, PANEL_HEIGHT, make_logarithmic, panels, png
 from occfusion.report.page import markdown_table
-from occfusion.stability.drawing import draw_walks
 from occfusion.stability.gauss_newton import GaussNewton
 from occfusion.stability.scene_condition import (
+    BINS,
     JOINT_NAMES,
     WORST,
     Look,
@@ -74,11 +75,10 @@ QUICK = Effort(size=48, frames=4, samples=8, products=3, trained=8, walked=150)
 
 @dataclass(frozen=True)
 class SceneStudy:
-    """What was found on a scene.
+    """What was found on a scene where its optimisation begins.
 
     Attributes:
         scene: name.
-        when: `at the start`, or after how many steps.
         spectra: of the groups of the Gaussians, all frames together.
         one_picture: quantiles over seen Gaussians of what a picture knows across the line of sight, over along it.
         all_pictures: quantiles of the condition of each seen Gaussian's place, all frames together.
@@ -90,7 +90,6 @@ class SceneStudy:
     """
 
     scene: str
-    when: str
     spectra: tuple[Spectrum, ...]
     one_picture: tuple[float, ...]
     all_pictures: tuple[float, ...]
@@ -100,9 +99,7 @@ class SceneStudy:
     weakest: tuple[float, float]
 
 
-def study_scene(
-    root: Path, scene: str, rates: dict[str, float], effort: Effort, backend: str = "auto"
-) -> SceneStudy:
+def study_scene(root: Path, scene: str, rates: dict[str, float], effort: Effort) -> SceneStudy:
     """Returns what the pictures of an embedded scene say, and where Adam goes in a short training on it.
 
     The scene has no errors of poses: what `pose_turns` move is wrong.
@@ -112,13 +109,12 @@ def study_scene(
         scene: its name, of a subject below 100.
         rates: of the optimiser's groups.
         effort: how much is measured.
-        backend: of the rasteriser, for what needs no difference.
     """
     body = embedded_body()
     data = make_synthetic(root, scene, body, image_size=effort.size, frames=effort.frames, cameras=2)
     data.setup()
     frames = [data.train_frame(k) for k in range(len(data.train_indices))]
-    renderer = Renderer(backend)
+    renderer = Renderer("auto")
     avatar = begin(body, frames, renderer, thickness=0.002, dilation=0.02)
     look = Look(avatar, frames, renderer)
     middle = frames[len(frames) // 2]
@@ -141,7 +137,6 @@ def study_scene(
     moved, weakest = _motion(look, blocks, known, rates, effort)
     return SceneStudy(
         scene,
-        "at the start",
         spectra,
         _quantiles(across[seen] / along[seen]),
         _quantiles(condition(values[known])),
@@ -182,13 +177,8 @@ def _quantiles(values: torch.Tensor) -> tuple[float, ...]:
 
 
 def study(
-    output: Path,
-    rates: dict[str, float],
-    environment: dict[str, Any],
-    *,
-    quick: bool,
-    tell: Callable[[str], object],
-) -> tuple[list[SceneStudy], list[Walk]]:
+    output: Path, rates: dict[str, float], environment: dict[str, Any], *, quick: bool, tell: Callable[[str], object]
+) -> None:  # fmt: skip
     """Measures all, and writes `optimisation.csv`, `.png`, `.md` and `.html` into a folder.
 
     Args:
@@ -216,7 +206,7 @@ def study(
         f"{effort.frames} frames; {effort.samples} samples, {effort.products} products, {effort.trained} steps on "
         f"scenes, {effort.walked} on the problems with a known optimum. A condition of {WORST:.0e} is that or more."
     )
-    sections = [*(_scene_sections(scenes)), *_walk_sections(found), _stall_section(stalls)]
+    sections = [*_scene_sections(scenes), *_walk_sections(found), _stall_section(stalls)]
     text = "\n\n".join(["# Stiff optimisation", head, "![steps and seconds](optimisation.png)", *sections])
     write_bytes(output / "optimisation.md", (text + "\n").encode())
     image = base64.b64encode(picture).decode()
@@ -226,7 +216,41 @@ def study(
         f"<pre>{escape(chr(10).join(sections))}</pre></html>"
     )
     write_bytes(output / "optimisation.html", page.encode())
-    return scenes, found
+
+
+def draw_walks(found: Sequence[Walk]) -> bytes:
+    """Returns a PNG: above, steps to the optimum against the condition; below, what is left against seconds.
+
+    Where an optimiser does not come near in its steps, its point is hollow and stands at the last of them. Below, the
+    worse the condition the fainter the line.
+    """
+    groups = list(dict.fromkeys(one.group for one in found))
+    optimisers = list(dict.fromkeys(one.optimiser for one in found))
+    figure, axes = panels(2 * len(groups), len(groups), PANEL_HEIGHT, BELOW)
+    for column, group in enumerate(groups):
+        above, below = axes[column], axes[len(groups) + column]
+        for number, optimiser in enumerate(optimisers):
+            own = [one for one in found if (one.group, one.optimiser) == (group, optimiser)]
+            color = f"C{number}"
+            steps = [one.steps or one.curve[-1][0] for one in own]
+            above.plot([one.condition for one in own], steps, "-", color=color, label=optimiser)
+            for one, count in zip(own, steps, strict=True):
+                above.plot(
+                    [one.condition], [count], "o", color=color, mfc=color if one.steps else "white", ms=4
+                )
+            for k, one in enumerate(own):
+                each = one.seconds / max(one.steps or one.curve[-1][0], 1)
+                line = [(each * count, max(left, 1e-8)) for count, left in one.curve if count]
+                below.plot(*zip(*line, strict=True), color=color, alpha=1.0 - 0.7 * k / max(len(own) - 1, 1))
+        for panel in (above, below):
+            make_logarithmic(panel)
+        above.set_title(f"{group}: steps", fontsize=9)
+        above.set_xlabel("condition", fontsize=8)
+        below.set_title("share of the distance left", fontsize=9)
+        below.set_xlabel("seconds of one problem", fontsize=8)
+        if column == 0:
+            above.legend(fontsize=6)
+    return png(figure)
 
 
 # --- tables ----------------------------------------------------------------------------------------------------
@@ -252,7 +276,7 @@ def _scene_sections(scenes: Sequence[SceneStudy]) -> list[str]:
     ]
     conditions = ", ".join(f"{one.scene}: {one.pose_condition:.1e}" for one in scenes)
     moved = [
-        [one.scene, part.group, *(_share_and_distance(part, k) for k in range(len(part.bins)))]
+        [one.scene, part.group, *(_share_and_distance(part, k) for k in range(len(BINS)))]
         for one in scenes
         for part in one.moved
     ]

@@ -11,9 +11,9 @@ from typing import Any
 
 from occfusion.files.atomic import write_bytes
 from occfusion.files.table import write_table
+from occfusion.report.drawing import BELOW, PANEL_HEIGHT, make_logarithmic, panels, png
 from occfusion.report.page import markdown_table
 from occfusion.stability.axes import Row
-from occfusion.stability.drawing import draw_error_vs_time
 
 PANEL, MARGIN, COLUMNS = (330, 210), (46, 26), 3
 FLOOR, CEILING = -17, 1
@@ -49,13 +49,8 @@ def write_sweep(output: Path, rows: Sequence[Row], environment: dict[str, Any]) 
     )
     drawing = curves(rows)
     cells = [_cells(row) for row in rows]
-    text = [
-        "# Stability",
-        head,
-        NOTE,
-        "![errors along each axis](stability.svg)",
-        markdown_table(HEADINGS, cells),
-    ]
+    picture = "![errors along each axis](stability.svg)"
+    text = ["# Stability", head, NOTE, picture, markdown_table(HEADINGS, cells)]
     write_bytes(output / "stability.md", ("\n\n".join(text) + "\n").encode())
     write_bytes(output / "stability.svg", drawing.encode())
     write_bytes(output / "stability_time.png", draw_error_vs_time(rows))
@@ -93,22 +88,20 @@ def curves(rows: Sequence[Row]) -> str:
     """Returns a drawing with a panel for each axis: errors of each method from place to place."""
     axes = list(dict.fromkeys(row.axis for row in rows))
     width, height = COLUMNS * PANEL[0], math.ceil(len(axes) / COLUMNS) * PANEL[1]
-    panels = "".join(
+    drawn = "".join(
         f'<g transform="translate({k % COLUMNS * PANEL[0]} {k // COLUMNS * PANEL[1]})">'
         f"{_panel(axis, [row for row in rows if row.axis == axis])}</g>"
         for k, axis in enumerate(axes)
     )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" '
-        f'font-family="sans-serif" font-size="10"><rect width="100%" height="100%" fill="white"/>{panels}</svg>'
+        f'font-family="sans-serif" font-size="10"><rect width="100%" height="100%" fill="white"/>{drawn}</svg>'
     )
 
 
 def _panel(axis: str, rows: Sequence[Row]) -> str:
-    places, methods = (
-        list(dict.fromkeys(row.place for row in rows)),
-        list(dict.fromkeys(row.method for row in rows)),
-    )
+    places = list(dict.fromkeys(row.place for row in rows))
+    methods = list(dict.fromkeys(row.method for row in rows))
     left, top = MARGIN
     wide, high = PANEL[0] - left - 12, PANEL[1] - top - 34
 
@@ -142,3 +135,30 @@ def _panel(axis: str, rows: Sequence[Row]) -> str:
             f'<text x="{at:.0f}" y="{top + high + 26}" fill="{color}" font-size="9">{escape(method)}</text>'
         )
     return "".join(parts)
+
+
+def draw_error_vs_time(rows: Sequence[Row]) -> bytes:
+    """Returns a PNG with a panel an axis: the error of gradients against the time of a call, from place to place.
+
+    A dot is a place; the larger, the further along the axis. Errors of nothing are drawn at 1e-17.
+    """
+    names = list(dict.fromkeys(row.axis for row in rows))
+    figure, axes = panels(len(names), 4, PANEL_HEIGHT, BELOW)
+    for name, panel in zip(names, axes, strict=True):
+        own = [row for row in rows if row.axis == name]
+        for number, method in enumerate(dict.fromkeys(row.method for row in own)):
+            line = [
+                (row.milliseconds, max(row.gradient_error or 0.0, row.error or 0.0, 1e-17))
+                for row in own
+                if row.method == method and row.milliseconds is not None
+            ]
+            if not line:
+                continue
+            times, errors = zip(*line, strict=True)
+            panel.plot(times, errors, "-", color=f"C{number}", lw=0.7, label=method)
+            panel.scatter(times, errors, s=[6 + 4 * k for k in range(len(line))], color=f"C{number}")
+        make_logarithmic(panel)
+        panel.set_title(name, fontsize=8)
+        panel.set_xlabel("ms", fontsize=8)
+        panel.legend(fontsize=6)
+    return png(figure)

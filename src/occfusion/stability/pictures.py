@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import torch
 
@@ -31,9 +32,7 @@ def picture_axes(device: torch.device) -> list[Axis]:
     opacities = (0.005, 0.1, 0.5, 0.9, 0.99, 0.999, 1)
     counts = (0, 1, 10, 100, 1e3, 1e4, 1e5, 2e5)
 
-    def axis(name: str, places: Sequence[float], quick: Sequence[float], make: Scenes) -> Axis:
-        return _axis(name, places, quick, make, device)
-
+    axis = partial(_axis, device)
     return [
         axis("anisotropy, longest to thinnest", tens, (1, 1e3, 1e6), _needles),
         axis("screen size, px", sizes, (0.01, 1, 1000), _sizes),
@@ -47,11 +46,7 @@ def picture_axes(device: torch.device) -> list[Axis]:
 
 
 def _axis(
-    name: str,
-    places: Sequence[float],
-    quick: Sequence[float],
-    make: Scenes,
-    device: torch.device,
+    device: torch.device, name: str, places: Sequence[float], quick: Sequence[float], make: Scenes
 ) -> Axis:
     def method(backend_name: str, dtype: torch.dtype, bound: Bound) -> Method:
         contestant = backend(backend_name, dtype)
@@ -92,11 +87,9 @@ def scatter(count: int, side: int = SIDE, seed: int = 0) -> BenchScene:
     viewmat = torch.eye(4)
     viewmat[2, 3] = DISTANCE
     K = torch.tensor([[side, 0.0, side / 2], [0.0, side, side / 2], [0.0, 0.0, 1.0]])
-    shapes = ((side, side, 3), (side, side))
-    weights = [torch.randn(shape, generator=generator) for shape in shapes]
+    rgb, alpha = (torch.randn(shape, generator=generator) for shape in ((side, side, 3), (side, side)))
     # expected depth divides by alpha: where only a faint splat is seen it jumps with any cut-off
-    cotangents = (weights[0], weights[1], torch.zeros(side, side))
-    return BenchScene(inputs, Camera(viewmat=viewmat, K=K, width=side, height=side), 1, cotangents)
+    return BenchScene(inputs, Camera(viewmat, K, side, side), 1, (rgb, alpha, torch.zeros(side, side)))
 
 
 def _changed(scene: BenchScene, **inputs: torch.Tensor) -> BenchScene:

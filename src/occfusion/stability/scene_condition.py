@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from occfusion.files.bodyfile import NUM_JOINTS
 from occfusion.human import Avatar, Body, Gaussians, PoseSpline
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import accumulate, paint_observed
@@ -28,13 +27,7 @@ FAINTEST, LAST = 1e-8, 1e-12
 """Alpha and transmittance below which nothing is drawn in differences: their steps would be seen otherwise."""
 WORST = 1e10
 """Conditions beyond are not told from this one: single precision has no more digits."""
-GROUPS = {
-    "means": "means",
-    "scales": "log_scales",
-    "opacity": "opacity_logits",
-    "sh0": "sh0",
-    "quats": "raw_quats",
-}
+GROUPS = {"means": "means", "scales": "log_scales", "opacity": "opacity_logits", "sh0": "sh0"}
 """Groups of the optimiser that Gaussians have, and their parameters."""
 JOINT_NAMES = (
     "pelvis", "left hip", "right hip", "spine 1", "left knee", "right knee", "spine 2", "left ankle", "right ankle",
@@ -147,21 +140,16 @@ class Spectrum:
     group: str
     parameters: int
     largest: float
-    below: tuple[float, float, float]
+    below: tuple[float, ...]
 
 
-def spectrum(look: Look, group: str, steps: int, starts: int = 1) -> Spectrum:
+def spectrum(look: Look, group: str, steps: int) -> Spectrum:
     """Returns the spectrum of a group by products with the real rasteriser, all others held."""
     parameter = parameter_of(look.avatar, group)
-    matrix = GaussNewton(look.residuals(), [parameter])
-    largest, shares = 0.0, torch.zeros(3, dtype=torch.float64)
-    found = [ritz_values(matrix, steps, seed) for seed in range(starts)]
-    largest = max(float(values.max()) for values, _ in found)
-    for values, weights in found:
-        for k, bound in enumerate((1e-2, 1e-4, 1e-6)):
-            shares[k] += weights[values < bound * largest].sum() / starts
-    one, two, three = shares.tolist()
-    return Spectrum(group, parameter.numel(), largest, (one, two, three))
+    values, weights = ritz_values(GaussNewton(look.residuals(), [parameter]), steps)
+    largest = float(values.max())
+    below = tuple(float(weights[values < bound * largest].sum()) for bound in (1e-2, 1e-4, 1e-6))
+    return Spectrum(group, parameter.numel(), largest, below)
 
 
 def condition(values: Tensor) -> Tensor:
@@ -208,9 +196,8 @@ def pose_matrix(look: Look, frame: Frame) -> Tensor:
     """
     avatar = look.avatar
     kept = avatar.pose_spline
-    one = _OneFrame(
-        frame.index, torch.zeros(NUM_JOINTS, 3) if kept is None else kept.at(frame.index)[0].detach()
-    )
+    assert kept is not None
+    one = _OneFrame(frame.index, kept.at(frame.index)[0].detach())
     try:
         avatar.pose_spline = one
         return GaussNewton(Look(avatar, [frame], look.renderer).residuals(), [one.angles]).matrix()
@@ -240,18 +227,17 @@ class Moved:
 
     Attributes:
         group: of the optimiser.
-        bins: lower ends of what the data know, as shares of the most.
-        share: of the parameters in each.
+        share: of the parameters in each of `BINS`.
         distance: root mean square that they moved, in the parameters' unit.
     """
 
     group: str
-    bins: tuple[float, ...]
     share: tuple[float, ...]
     distance: tuple[float, ...]
 
 
 BINS = (1e-1, 1e-2, 1e-3, 1e-4, 0.0)
+"""Lower ends of what the data know, as shares of the most."""
 
 
 def moved_by(group: str, known: Tensor, moved: Tensor) -> Moved:
@@ -270,7 +256,7 @@ def moved_by(group: str, known: Tensor, moved: Tensor) -> Moved:
         shares.append(float(chosen.double().mean()))
         own = moved.flatten()[chosen]
         distances.append(float(own.double().square().mean().sqrt()) if len(own) else float("nan"))
-    return Moved(group, BINS, tuple(shares), tuple(distances))
+    return Moved(group, tuple(shares), tuple(distances))
 
 
 def share_of_weakest(blocks: Tensor, moved: Tensor) -> float:

@@ -30,9 +30,7 @@ class Toy:
 
     Attributes:
         group: of parameters, as in the optimiser.
-        what: it is, in a sentence.
-        number: that is followed, and its unit.
-        places: values of it, from well to badly conditioned.
+        places: values of the number that is followed, from well to badly conditioned.
         rate: of the recipe for this group; Adam's learning rate.
         optimum: `[n]`, the same everywhere.
         start: where it is begun, `[n]`.
@@ -40,8 +38,6 @@ class Toy:
     """
 
     group: str
-    what: str
-    number: str
     places: tuple[float, ...]
     rate: float
     optimum: Tensor
@@ -99,24 +95,22 @@ def toys(rates: dict[str, float]) -> list[Toy]:
     """
     degrees, leverage = (90.0, 30.0, 10.0, 3.0, 1.0, 0.3, 0.1), (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
     pixels, faint = (2.0, 1.0, 0.5, 0.25, 0.12, 0.06), (0.3, 0.6, 0.9, 0.97, 0.99, 0.997)
+    matrix = axis_angle_to_matrix(TURN)
 
     def row(*values: float) -> Tensor:
         return torch.tensor(values, dtype=torch.float64)
 
-    def matrix() -> Tensor:
-        return axis_angle_to_matrix(TURN)
-
     return [
-        Toy("means", "a point before two cameras that look at it from so far apart", "degrees between the cameras",
-            degrees, rates["means"], row(0, 0, 0), matrix() @ row(0.004, 0.004, 0.008),
-            lambda x, p: _two_cameras(x @ matrix(), p)),
-        Toy("pose_turns", "a limb seen by marks on its axis and one so far off it: all that tells its twist",
-            "leverage of the mark, limb lengths", leverage, rates["pose_turns"], row(0, 0, 0),
-            matrix() @ row(0.03, 0.03, 0.06), lambda x, p: _limb(x @ matrix(), p)),
-        Toy("scales", "a blob 4 pixels long and so wide, with a pixel's own footprint", "width, pixels", pixels,
-            rates["scales"], row(0, 0), row(0.3, 0.3), _blob),
-        Toy("opacity", "three layers of a pixel, the first two of such an opacity", "opacity of the first two", faint,
-            rates["opacity"], row(0, 0, 0), row(0.3, -0.8, 0.8), _layers),
+        # a point before two cameras that look at it from so many degrees apart
+        Toy("means", degrees, rates["means"], row(0, 0, 0), matrix @ row(0.004, 0.004, 0.008),
+            lambda x, p: _two_cameras(x @ matrix, p)),
+        # a limb seen by marks on its axis and one so many limb lengths off it: all that tells its twist
+        Toy("pose_turns", leverage, rates["pose_turns"], row(0, 0, 0), matrix @ row(0.03, 0.03, 0.06),
+            lambda x, p: _limb(x @ matrix, p)),
+        # a blob 4 pixels long and so many wide, with a pixel's own footprint
+        Toy("scales", pixels, rates["scales"], row(0, 0), row(0.3, 0.3), _blob),
+        # three layers of a pixel, the first two of such an opacity
+        Toy("opacity", faint, rates["opacity"], row(0, 0, 0), row(0.3, -0.8, 0.8), _layers),
     ]  # fmt: skip
 
 
@@ -270,7 +264,7 @@ def walks(all_: Sequence[Toy], steps: int) -> list[Walk]:
     return found
 
 
-def handed_over(ratio: float, *, fresh: bool, steps: int = 1800, rate: float = 1e-3) -> float:
+def handed_over(ratio: float, *, fresh: bool, steps: int = 1800) -> float:
     """Returns the share of a new target's distance that is left after so many steps of a second stage.
 
     A first stage finds its optimum by Adam with a loss `ratio` times as large; then the target moves by 0.5.
@@ -279,13 +273,11 @@ def handed_over(ratio: float, *, fresh: bool, steps: int = 1800, rate: float = 1
         ratio: of the losses, before to after.
         fresh: whether the second stage begins with moments of its own, as ours does, or with those of the first.
         steps: of each stage.
-        rate: learning rate.
     """
     x = torch.zeros(1, dtype=torch.float64, requires_grad=True)
-    optimiser = torch.optim.Adam([x], lr=rate, eps=ADAM_EPS)
     for scale, target in ((ratio, 0.5), (1.0, 1.0)):
-        if target == 1.0 and fresh:
-            optimiser = torch.optim.Adam([x], lr=rate, eps=ADAM_EPS)
+        if target == 0.5 or fresh:
+            optimiser = torch.optim.Adam([x], lr=1e-3, eps=ADAM_EPS)
         for _ in range(steps):
             optimiser.zero_grad()
             (scale * (x - target).square().sum()).backward()

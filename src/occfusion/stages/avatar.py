@@ -134,13 +134,9 @@ class AvatarStage(Stage):
         terms = self.terms(frame, rendering, box)
         if self.surface is not None:
             terms = {**terms, **self.surface.terms(self.avatar, self.global_step)}
+        weighted = [self.weight(name) * value for name, value in terms.items()]
         # a frame may have no term at all; backward can be called of this
-        weighted = [self.weight(name) * value for name, value in terms.items()] or [
-            0.0 * rendering.alpha.sum()
-        ]
-        total = weighted[0]
-        for value in weighted[1:]:
-            total = total + value
+        total = sum(weighted[1:], start=weighted[0]) if weighted else 0.0 * rendering.alpha.sum()
         check_finite_terms(terms, self.name, self.global_step, frame.name, total)
         self.keep_terms(terms, total)
         return total
@@ -185,14 +181,10 @@ class AvatarStage(Stage):
         return adam
 
     def on_train_start(self) -> None:
-        """Starts the training clock."""
-        if self.global_step == 0:  # an avatar from a file has none of the stage before either
+        """Begins with no values of the skinning network from the stage before; starts the training clock."""
+        if self.global_step == 0:  # an avatar from a file has none either
             self.avatar.forget_skinning()
-        self.clock.start()
-
-    def on_train_end(self) -> None:
-        """Stops the training clock."""
-        self.clock.stop()
+        super().on_train_start()
 
     def on_train_batch_start(self, _batch: Any, _batch_idx: int) -> None:
         """Densifies when it is time, then sets what follows the step: rates, SH bands, the skinning network's turn.
@@ -211,14 +203,9 @@ class AvatarStage(Stage):
         if self.surface is not None:
             self.surface.hold(self.avatar)
         decay = settings.rates_at_end ** (self.global_step / settings.steps)
+        rate_of_means = means_rate(step, settings.rates.means, settings.rates.means_final)
         for group in self._adam().param_groups:
-            is_means = group["name"] == "means"
-            rate = (
-                means_rate(step, settings.rates.means, settings.rates.means_final)
-                if is_means
-                else group["first_lr"]
-            )
-            group["lr"] = decay * rate
+            group["lr"] = decay * (rate_of_means if group["name"] == "means" else group["first_lr"])
 
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
         """Checks the gradients and collects what densification needs of them."""
@@ -238,12 +225,8 @@ class AvatarStage(Stage):
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Adds the training seconds, and what the avatar's tensors do not say, for whoever looks at it meanwhile."""
-        checkpoint["train_seconds"] = self.clock.seconds
+        super().on_save_checkpoint(checkpoint)
         checkpoint["avatar"] = describe_avatar(self.avatar)
-
-    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Takes the training seconds of the earlier run over."""
-        self.clock.restore(checkpoint["train_seconds"])
 
 
 def _count_change(optimizer: torch.optim.Optimizer, *_: Any) -> None:

@@ -34,6 +34,22 @@ class Stage(L.LightningModule):
         self.frame: Frame | None = None
         self._terms: dict[str, Tensor] = {}
 
+    def on_train_start(self) -> None:
+        """Starts the training clock."""
+        self.clock.start()
+
+    def on_train_end(self) -> None:
+        """Stops the training clock."""
+        self.clock.stop()
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Adds the training seconds."""
+        checkpoint["train_seconds"] = self.clock.seconds
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Takes the training seconds of the earlier run over."""
+        self.clock.restore(checkpoint["train_seconds"])
+
     def counts(self) -> dict[str, int]:
         """Returns what is counted of the thing in training, by the names of the loss table's columns, or nothing."""
         return {}
@@ -56,9 +72,7 @@ class Stage(L.LightningModule):
         return {name: float(value) for name, value in self._terms.items()}
 
 
-def check_finite_terms(
-    terms: Mapping[str, Tensor], stage: str, step: int, frame: str, total: Tensor | None = None
-) -> None:
+def check_finite_terms(terms: Mapping[str, Tensor], stage: str, step: int, frame: str, total: Tensor) -> None:
     """Looks at the loss terms of a step before anything is made of them.
 
     Args:
@@ -66,12 +80,12 @@ def check_finite_terms(
         stage: for the message, as `step` and `frame`.
         step: that is under way.
         frame: that it sees.
-        total: their weighted sum, which is finite only if all of them are; None: each is looked at.
+        total: their weighted sum, which is finite only if all of them are.
 
     Raises:
         NumericsError: naming the first loss term that is not finite, or the sum where it alone is not.
     """
-    if total is not None and math.isfinite(total.detach()):
+    if math.isfinite(total.detach()):
         return
     where = f"stage {stage}, step {step}, frame {frame}"
     for name, value in terms.items():
@@ -80,11 +94,10 @@ def check_finite_terms(
                 f"{where}: the loss term `{name}` is {float(value.detach())}. "
                 f"The state before this step is saved; try smaller learning rates, or look at that frame's data"
             )
-    if total is not None:
-        raise NumericsError(
-            f"{where}: the weighted sum of the loss terms is {float(total.detach())}, and each of them is finite. "
-            f"The state before this step is saved; choose smaller weights"
-        )
+    raise NumericsError(
+        f"{where}: the weighted sum of the loss terms is {float(total.detach())}, and each of them is finite. "
+        f"The state before this step is saved; choose smaller weights"
+    )
 
 
 def check_finite_gradients(groups: Iterable[Mapping[str, Any]], stage: str, step: int, frame: str) -> None:

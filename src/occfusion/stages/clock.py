@@ -17,13 +17,10 @@ def synchronised_time() -> float:
 
 
 class TrainingClock:
-    """Counts training seconds (data wait included); stands still inside `paused`.
+    """Counts training seconds (data wait included); stands still inside `paused`."""
 
-    `before` carries the seconds of earlier, interrupted runs, so a resumed run counts on.
-    """
-
-    def __init__(self, before: float = 0.0) -> None:
-        self._before = before
+    def __init__(self) -> None:
+        self._before = 0.0
         self._started: float | None = None
 
     def start(self) -> None:

@@ -93,11 +93,7 @@ class ErrorCurve(L.Callback):
                 "peak_memory_mb": round(peak_memory_mb(), 1),
             }
             write_table(self.path, COLUMNS, [*read_table(self.path), row])
-            known = {
-                f"held_out/{key}": value
-                for key, value in full.items()
-                if key in COLUMNS and value is not None
-            }
+            known = {f"held_out/{key}": value for key in METRICS if (value := full[key]) is not None}
             for logger in trainer.loggers:
                 logger.log_metrics(known, trainer.global_step)
         self._last_step = trainer.global_step

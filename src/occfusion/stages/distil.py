@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
@@ -107,15 +107,11 @@ class Distiller(Generic[T]):
         if not view.pushed:
             return {}
         if is_posed:
-            square = view.square
+            square, where = view.square, f"frame {frame.name}"
             seen = take_square(alpha, box, square.x, square.y, square.side, self.prior.size)
         else:
+            where = f"canonical pose at {turn * 360 // CANONICAL_ANGLES} degrees"
             seen = self._renderer.canonical_alpha(avatar, view.camera)
-        where = (
-            f"frame {frame.name}"
-            if is_posed
-            else f"canonical pose at {turn * 360 // CANONICAL_ANGLES} degrees"
-        )
         loss = self._distil(seen, view, self._draw(step, generator)).to(alpha)
         if not bool(torch.isfinite(loss)):
             raise NumericsError(
@@ -146,36 +142,33 @@ class Distiller(Generic[T]):
     # -- views, remembered ------------------------------------------------------------------------------------
 
     def _posed_view(self, frame: Frame) -> _Prepared[T]:
-        found = self._remembered(frame.index)
-        if found is None:
+        def make() -> tuple[Square, PersonView]:
             observation = self._observed_frames[frame.index].observation(frame, self.body)
-            square, view = view_observation(observation, self.prior.size)
-            found = self._remember(frame.index, view, square)
-        return found
+            return view_observation(observation, self.prior.size)
+
+        return self._remembered(frame.index, make)
 
     def _canonical_view(self, turn: int) -> _Prepared[T]:
-        key = ("canonical", turn)
-        found = self._remembered(key)
-        if found is None:
-            size = self.prior.size
-            found = self._remember(key, view_canonical(self.body, turn, size), Square(0.0, 0.0, size))
-        return found
+        size = self.prior.size
+        return self._remembered(
+            ("canonical", turn), lambda: (Square(0.0, 0.0, size), view_canonical(self.body, turn, size))
+        )
 
-    def _remembered(self, key: Hashable) -> _Prepared[T] | None:
-        if key in self._views:
-            self._views.move_to_end(key)
-        return self._views.get(key)
+    def _remembered(self, key: Hashable, make: Callable[[], tuple[Square, PersonView]]) -> _Prepared[T]:
+        if key not in self._views:
+            self._views[key] = self._prepare(*make())
+            if len(self._views) > KEPT_VIEWS:
+                self._views.popitem(last=False)
+        self._views.move_to_end(key)
+        return self._views[key]
 
-    def _remember(self, key: Hashable, view: PersonView, square: Square) -> _Prepared[T]:
+    def _prepare(self, square: Square, view: PersonView) -> _Prepared[T]:
         everywhere = self.settings.where == "everywhere"
         mask = np.ones((view.size, view.size), np.float32) if everywhere else view.hidden
         shown = view if self.settings.evidence else replace(view, visible=None, background=None)
-        found = _Prepared(
-            self.prior.encode_conditions(shown), torch.from_numpy(mask).to(self.prior.device), bool(mask.any()), square,
-            replace(view.camera, viewmat=view.camera.viewmat.float(), K=view.camera.K.float())
-            .to(self.prior.device),
+        camera = replace(view.camera, viewmat=view.camera.viewmat.float(), K=view.camera.K.float())
+        device = self.prior.device
+        return _Prepared(
+            self.prior.encode_conditions(shown), torch.from_numpy(mask).to(device), bool(mask.any()), square,
+            camera.to(device),
         )  # fmt: skip
-        self._views[key] = found
-        if len(self._views) > KEPT_VIEWS:
-            self._views.popitem(last=False)
-        return found

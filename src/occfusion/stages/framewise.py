@@ -15,6 +15,7 @@ from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_json
 from occfusion.files.digest import changed, digests
 from occfusion.files.run_folder import FrameFolder, read_json
+from occfusion.observation.frames import ObservedFrame
 from occfusion.stages.base import Stage
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.progress import FrameProgress
@@ -27,14 +28,18 @@ class FramewiseStage(Stage):
     Args:
         folder: where the pictures and the manifest go.
         identity: all that the pictures depend on; records of another identity are not taken up.
+        observed_frames: of all training frames, in order.
 
     Attributes:
         records: what was done with each frame, by its name.
     """
 
-    def __init__(self, folder: FrameFolder, identity: dict[str, Any]) -> None:
+    def __init__(
+        self, folder: FrameFolder, identity: dict[str, Any], observed_frames: Sequence[ObservedFrame]
+    ) -> None:
         super().__init__()
-        self.folder, self.identity = folder, identity
+        self.folder, self.identity, self.observed_frames = folder, identity, observed_frames
+        self._positions = {observed_frame.index: k for k, observed_frame in enumerate(observed_frames)}
         self.records = self._earlier()
 
     @property
@@ -71,9 +76,7 @@ class FramewiseStage(Stage):
             if content["identity"] != json.loads(json.dumps(self.identity)):
                 return {}
             frames = {str(name): dict(record) for name, record in content["frames"].items() if int(name) >= 0}
-            whole = {
-                name: record for name, record in frames.items() if not self._is_changed(int(name), record)
-            }
+            whole = {name: r for name, r in frames.items() if not self._is_changed(int(name), r)}
         except (CheckpointError, AttributeError, KeyError, TypeError, ValueError):
             print(f"{self.name}: {path} is damaged; its pictures are made again")
             return {}

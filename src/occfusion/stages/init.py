@@ -53,24 +53,18 @@ class InitStage(FramewiseStage):
         folder: FrameFolder,
         identity: dict[str, Any],
     ) -> None:
-        super().__init__(folder, {**identity, **vars(settings), **prior.describe()})
+        super().__init__(folder, {**identity, **vars(settings), **prior.describe()}, observed_frames)
         # wrapped in tuples so that neither is part of this module's state
         self._prior, self._body = (prior,), (body,)
-        self.observed_frames = observed_frames
         self.settings = settings
         self.calibration: Calibration | None = None
         self._read = read
-        self._positions = {observed_frame.index: k for k, observed_frame in enumerate(observed_frames)}
         self._probabilities: dict[int, NDArray[np.float32]] = {}
 
     @property
     def wanted(self) -> list[int]:
         """Positions of the frames that are not written yet."""
-        return [
-            k
-            for k, observed_frame in enumerate(self.observed_frames)
-            if frame_name(observed_frame.index) not in self.records
-        ]
+        return [k for index, k in self._positions.items() if frame_name(index) not in self.records]
 
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:

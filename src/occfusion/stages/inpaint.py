@@ -52,31 +52,19 @@ class InpaintStage(FramewiseStage):
         renderer: Renderer,
         pixels: str,
     ) -> None:
-        super().__init__(
-            folder,
-            {
-                **identity,
-                "pixels": pixels,
-                "unseen": "painted",
-                "asked": "what counts",
-                **inpainter.describe(),
-            },
-        )
+        described = {"pixels": pixels, "unseen": "painted", "asked": "what counts", **inpainter.describe()}
+        super().__init__(folder, {**identity, **described}, observed_frames)
         self._pixels = pixels
         # wrapped in tuples so that neither is part of this module's state
         self._inpainter, self._avatar = (inpainter,), (avatar,)
-        self.observed_frames = observed_frames
         self._renderer = renderer
-        self._positions = {observed_frame.index: k for k, observed_frame in enumerate(observed_frames)}
         self.accumulated: Accumulated | None = None
 
     @property
     def wanted(self) -> list[int]:
         """Positions of the occluded frames that are not written yet."""
-        occluded = (
-            k for k, observed_frame in enumerate(self.observed_frames) if observed_frame.evidence.occluded
-        )
-        return [k for k in occluded if frame_name(self.observed_frames[k].index) not in self.records]
+        missing = [k for index, k in self._positions.items() if frame_name(index) not in self.records]
+        return [k for k in missing if self.observed_frames[k].evidence.occluded]
 
     @property
     def references(self) -> References:
@@ -114,13 +102,12 @@ class InpaintStage(FramewiseStage):
         picture = checked_picture(inpainter, partial)
         write_png(self.folder.second_picture(frame.index), region)
         write_png(self.folder.picture(frame.index), np.round(255.0 * picture).astype(np.uint8))
+        moved = float(np.abs(picture - partial.coarse)[painted].mean()) if painted.any() else 0.0
         record = {
             "painted_pixels": int(painted.sum()),
             "region_pixels": int(region.sum()),
             "inpainted": is_asked,
-            "moved": round(float(np.abs(picture - partial.coarse)[painted].mean()), 4)
-            if painted.any()
-            else 0.0,
+            "moved": round(moved, 4),
         }
         self.records[frame_name(frame.index)] = record
         return record

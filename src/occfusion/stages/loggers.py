@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import secrets
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.errors import ConfigError
+from occfusion.evaluation.pictures import to_uint8
 from occfusion.files.atomic import write_bytes
 from occfusion.files.run_folder import RunFolder
+from occfusion.settings.schema import Settings
 from occfusion.settings.stages import LoggerSettings
 from occfusion.stages.base import Stage
 from occfusion.stages.losses_log import LossLog
@@ -39,23 +41,6 @@ def check_logger(settings: LoggerSettings) -> None:
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where and of what something is logged.
-
-    Attributes:
-        folder: of the run.
-        stage: name of the stage.
-        checkpoint: that the stage continues from; None where it starts.
-        is_trial: whether nothing but `losses.csv` is to be left behind.
-    """
-
-    folder: RunFolder
-    stage: str
-    checkpoint: Path | None = None
-    is_trial: bool = False
-
-
-@dataclass(frozen=True)
 class Pictured:
     """What pictures are made of.
 
@@ -68,70 +53,68 @@ class Pictured:
     render: Callable[[Frame], Rendering]
 
 
-@dataclass(frozen=True)
-class Logs:
-    """What logs the training of a stage.
-
-    Attributes:
-        loggers: for the trainer; empty where `losses.csv` is all.
-        callbacks: for the trainer, before the one that saves checkpoints.
-    """
-
-    loggers: list[Logger]
-    callbacks: list[L.Callback]
-
-
 def make_logs(
-    settings: LoggerSettings, place: Place, config: Mapping[str, Any], pictured: Pictured | None = None
-) -> Logs:
-    """Returns what logs a stage: `losses.csv` always, and the chosen logger.
+    settings: Settings,
+    folder: RunFolder,
+    stage: str,
+    checkpoint: Path | None,
+    pictured: Pictured | None = None,
+) -> tuple[list[Logger], list[L.Callback]]:
+    """Returns what logs a stage: `losses.csv` always, and the chosen logger, which a trial leaves alone.
+
+    These are loggers for the trainer, and callbacks that come before the one that saves checkpoints.
 
     Args:
-        settings: which logger; checked by `check_logger`.
-        place: where and of what.
-        config: of the run, for Weights & Biases.
+        settings: of the run; checked by `check_logger`.
+        folder: of the run.
+        stage: name of the stage.
+        checkpoint: that the stage continues from; None where it starts.
         pictured: for pictures; None: there are none.
 
     Raises:
         ConfigError: Weights & Biases cannot begin.
     """
-    table = LossLog(place.folder.losses, settings.every)
-    if settings.name == "csv" or place.is_trial:
-        return Logs([], [table])
-    logger = _tensorboard(place) if settings.name == "tensorboard" else _wandb(settings, place, config)
+    chosen = settings.logger
+    table = LossLog(folder.losses, chosen.every)
+    if chosen.name == "csv" or settings.trainer.fast_dev_run:
+        return [], [table]
+    if chosen.name == "tensorboard":
+        logger = _tensorboard(folder, stage, checkpoint)
+    else:
+        logger = _wandb(settings, folder, stage, checkpoint)
     callbacks: list[L.Callback] = [table, EndOfLoggers()]
-    if pictured is not None and settings.pictures_every:
-        callbacks.append(LoggedPictures(pictured.views(), pictured.render, settings.pictures_every))
-    return Logs([logger], callbacks)
+    if pictured is not None and chosen.pictures_every:
+        callbacks.append(LoggedPictures(pictured.views(), pictured.render, chosen.pictures_every))
+    return [logger], callbacks
 
 
-def _tensorboard(place: Place) -> Logger:
+def _tensorboard(folder: RunFolder, stage: str, checkpoint: Path | None) -> Logger:
     from lightning.pytorch.loggers import TensorBoardLogger
 
     # points of steps that will be done again are hidden; a folder a stage, for their steps count from 0 each
-    first = 0 if place.checkpoint is None else _step_of(place.checkpoint) + 1
-    folder = place.folder.tensorboard
-    return TensorBoardLogger(
-        folder.parent, name=folder.name, version=place.stage, default_hp_metric=False, purge_step=first
-    )
+    first = 0
+    if checkpoint is not None:
+        first = torch.load(checkpoint, map_location="cpu", weights_only=True, mmap=True)["global_step"] + 1
+    parent, name = folder.tensorboard.parent, folder.tensorboard.name
+    return TensorBoardLogger(parent, name=name, version=stage, default_hp_metric=False, purge_step=first)
 
 
-def _wandb(settings: LoggerSettings, place: Place, config: Mapping[str, Any]) -> Logger:
+def _wandb(settings: Settings, folder: RunFolder, stage: str, checkpoint: Path | None) -> Logger:
     import wandb
     from lightning.pytorch.loggers import WandbLogger
 
-    folder, known = place.folder.path, place.folder.wandb_id(place.stage)
-    if place.checkpoint is None or not known.is_file():
+    known = folder.wandb_id(stage)
+    if checkpoint is None or not known.is_file():
         write_bytes(known, secrets.token_hex(8).encode())
     logger = WandbLogger(
-        name=f"{folder.name} {place.stage}",
-        save_dir=folder,
+        name=f"{folder.path.name} {stage}",
+        save_dir=folder.path,
         id=known.read_text(encoding="ascii"),
-        project=settings.project,
-        mode="offline" if settings.offline else None,
-        group=str(folder),
-        job_type=place.stage,
-        config={**config, "stage": place.stage},
+        project=settings.logger.project,
+        mode="offline" if settings.logger.offline else None,
+        group=str(folder.path),
+        job_type=stage,
+        config={**asdict(settings), "stage": stage},
     )
     try:
         _ = logger.experiment  # now, not when the trainer is halfway through its own start
@@ -140,11 +123,6 @@ def _wandb(settings: LoggerSettings, place: Place, config: Mapping[str, Any]) ->
             f"logger=wandb: {str(error).splitlines()[0]} (`wandb login` once, or logger.offline=true)"
         ) from error
     return logger
-
-
-def _step_of(checkpoint: Path) -> int:
-    step: int = torch.load(checkpoint, map_location="cpu", weights_only=True, mmap=True)["global_step"]
-    return step
 
 
 class EndOfLoggers(L.Callback):
@@ -206,8 +184,7 @@ def beside_truth(rgb: Tensor, frame: Frame) -> NDArray[np.uint8]:
     Where the truth is not known, what the camera saw stands in its place.
     """
     truth = (frame.rgb if frame.truth is None else frame.truth.rgb).to(rgb)
-    both = torch.cat([rgb, truth], dim=1).clamp(0, 1)
-    return (both * 255).round().to(torch.uint8).cpu().numpy()
+    return to_uint8(torch.cat([rgb, truth], dim=1))
 
 
 def _log_picture(logger: Any, name: str, picture: NDArray[np.uint8], step: int) -> None:

@@ -8,14 +8,10 @@ from torch import Tensor, ones_like
 
 from occfusion.geometry.boxes import crop
 from occfusion.human.avatar import Avatar
-from occfusion.human.densify import Densifier
-from occfusion.human.rendering import Renderer
-from occfusion.perceptual import PerceptualMetric
 from occfusion.quality import losses
 from occfusion.settings.stages import OptimSettings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.distil import Distiller
-from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import Target, UncertainMasks, crop_frame, mask_weights
 from occfusion.types import Box, Frame, Rendering
 
@@ -28,13 +24,9 @@ class OptimStage(AvatarStage):
     Args:
         avatar: the avatar to train, in place.
         settings: weights, schedules and rates.
-        perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
-        densifier: densification; None exactly when `settings.densify` is false.
         distiller: score distillation; None where none of its terms has a weight.
         uncertain: where complete masks may be wrong; asked only where `settings.hidden` counts them less than fully.
-        renderer: draws the avatar.
-        seed: decides the perceptual crops, step by step.
-        surface: what closes the surface where the video does not tell; None: nothing does.
+        shared: what every `AvatarStage` takes.
     """
 
     name = "optim"
@@ -44,18 +36,11 @@ class OptimStage(AvatarStage):
         avatar: Avatar,
         settings: OptimSettings,
         *,
-        perceptual: PerceptualMetric | None,
-        densifier: Densifier | None,
         distiller: Distiller[Any] | None = None,
         uncertain: UncertainMasks | None = None,
-        renderer: Renderer,
-        seed: int,
-        surface: SurfacePrior | None = None,
+        **shared: Any,
     ) -> None:
-        super().__init__(
-            avatar, settings, perceptual=perceptual, densifier=densifier, renderer=renderer, seed=seed,
-            surface=surface,
-        )  # fmt: skip
+        super().__init__(avatar, settings, **shared)
         self.settings = settings
         self.distiller = distiller
         self.uncertain = uncertain or UncertainMasks()

@@ -45,11 +45,6 @@ class AvatarDDP(DDPStrategy):
             self.configure_ddp()
 
 
-def trainer_options(devices: int) -> dict[str, Any]:
-    """Returns what `L.Trainer` needs besides `devices`; nothing for one process."""
-    return {} if devices == 1 else {"strategy": AvatarDDP()}
-
-
 class SharedDensification(L.Callback):
     """Adds up what the processes have observed before a round, so that all of them edit alike."""
 

@@ -82,14 +82,6 @@ class PriorStage(Stage, Generic[Net]):
         """Returns the batch on `device` (Lightning does not enter frozen records by itself)."""
         return batch.to(device)
 
-    def on_train_start(self) -> None:
-        """Starts the training clock."""
-        self.clock.start()
-
-    def on_train_end(self) -> None:
-        """Stops the training clock."""
-        self.clock.stop()
-
     def on_train_batch_start(self, _batch: Any, _batch_idx: int) -> None:
         """Sets the learning rate and moves the average of the weights by the step before.
 
@@ -116,14 +108,6 @@ class PriorStage(Stage, Generic[Net]):
         """Returns the averaged network with the last step in it."""
         self._average()
         return self.averaged.eval()
-
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Adds the training seconds."""
-        checkpoint["train_seconds"] = self.clock.seconds
-
-    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Takes the training seconds of the earlier run over."""
-        self.clock.restore(checkpoint["train_seconds"])
 
 
 def learning_rate(step: int, settings: PriorTrainingSettings) -> float:

@@ -9,14 +9,10 @@ from torch import Tensor
 
 from occfusion.geometry.boxes import crop
 from occfusion.human.avatar import Avatar
-from occfusion.human.densify import Densifier
-from occfusion.human.rendering import Renderer
-from occfusion.perceptual import PerceptualMetric
 from occfusion.quality import losses
 from occfusion.settings.stages import RefineSettings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.references import References
-from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import Masks, UncertainMasks, crop_frame, mask_weights, with_outline
 from occfusion.types import Box, Frame, Rendering
 
@@ -31,13 +27,8 @@ class RefineStage(AvatarStage):
         uncertain: where complete masks may be wrong.
         outlines: the avatar's own at the hand-over, which the mask term holds it to there, also where no prior was
             asked; empty: to complete masks.
-        perceptual: the perceptual metric; None exactly when `settings.lambda_lpips` is 0.
-        densifier: densification; None exactly when `settings.densify` is false.
-        renderer: draws the avatar.
-        seed: decides the perceptual crops, step by step.
-        steps_before: of the optimisation stage.
-        surface: what closes the surface where the video does not tell; None: nothing does.
         colour_shares: of the learning rate that the colours at each vertex get, `[V]`, 0..1; None: all of it.
+        shared: what every `AvatarStage` takes; the steps before are those of the optimisation.
     """
 
     name = "refine"
@@ -50,21 +41,13 @@ class RefineStage(AvatarStage):
         uncertain: UncertainMasks,
         outlines: Masks,
         *,
-        perceptual: PerceptualMetric | None,
-        densifier: Densifier | None,
-        renderer: Renderer,
-        seed: int,
-        steps_before: int,
-        surface: SurfacePrior | None = None,
         colour_shares: Tensor | None = None,
+        **shared: Any,
     ) -> None:
-        super().__init__(
-            avatar, settings, perceptual=perceptual, densifier=densifier, renderer=renderer, seed=seed,
-            steps_before=steps_before, surface=surface,
-        )  # fmt: skip
+        super().__init__(avatar, settings, **shared)
         self.settings = settings
         self.references = references
-        self._colour_shares = None if colour_shares is None else colour_shares.to(renderer.device)
+        self._colour_shares = None if colour_shares is None else colour_shares.to(self._renderer.device)
         # no prior is asked for an outline
         self.uncertain, self.outlines = UncertainMasks(uncertain.hidden) if outlines else uncertain, outlines
 

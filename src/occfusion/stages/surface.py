@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -66,13 +65,12 @@ class SurfacePrior:
         self.settings = settings
         self.renderer = renderer
         self.seed = seed
-        self._views = [_on(view, renderer.device) for view in views]
-        self._axis = torch.from_numpy(known.axis).float().to(renderer.device)
-        self._ignorance = torch.from_numpy(known.ignorance).float().to(renderer.device)
-        self._normal = torch.from_numpy(normals).float().to(renderer.device)
+        self._views = [view.to(renderer.device) for view in views]
         dressed = dressed_heights(thickness, known)[:, None] * normals
-        self._dressed = torch.from_numpy(dressed).float().to(renderer.device)
-        self._thickness = torch.from_numpy(thickness).float().clamp(min=0.0).to(renderer.device)
+        self._axis, self._ignorance, self._normal, self._dressed, self._thickness = (
+            torch.from_numpy(values).float().to(renderer.device)
+            for values in (known.axis, known.ignorance, normals, dressed, np.maximum(thickness, 0.0))
+        )
 
     def weight(self, name: str) -> float:
         """Returns the weight of a term; every k-th step at k times the weight leaves the expected gradient as it is."""
@@ -143,14 +141,3 @@ class SurfacePrior:
 def _beyond(squares: Tensor) -> Tensor:
     """Returns sqrt(1 + x^2) - 1 of squares x^2: half of them where they are small, and no faster than x far out."""
     return (1.0 + squares).sqrt() - 1.0
-
-
-def _on(view: CanonicalView, device: torch.device) -> CanonicalView:
-    return replace(
-        view,
-        camera=view.camera.to(device),
-        body=view.body.to(device),
-        weight=view.weight.to(device),
-        unseen=view.unseen.to(device),
-        is_away=view.is_away.to(device),
-    )

@@ -62,11 +62,8 @@ def disturb_mask(
     """
     scale = size / 512.0
     height, width = coverage.shape
-    knots = (
-        int(np.ceil(width / (RAGGED_WIDTH * scale))) + 2,
-        int(np.ceil(height / (RAGGED_WIDTH * scale))) + 2,
-    )
-    bumps = rng.standard_normal(knots[::-1]).astype(np.float32)
+    knots = [int(np.ceil(length / (RAGGED_WIDTH * scale))) + 2 for length in (height, width)]
+    bumps = rng.standard_normal(knots).astype(np.float32)
     shift = RAGGED * scale * cv2.resize(bumps, (width, height), interpolation=cv2.INTER_LINEAR)
     person = person_mask(coverage)
     if rng.uniform() < BITE_CHANCE and person.any():

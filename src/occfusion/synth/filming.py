@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from occfusion.synth.actor import Actor
 from occfusion.synth.disturb import move_edge, person_mask
 from occfusion.synth.lamps import LitSurface, gloss_of, light_surface, make_lamps, seen_from
-from occfusion.synth.linear_shading import LinearMesh, draw_linear
 from occfusion.synth.occluders import Occluder
 from occfusion.synth.rotations import Floats
 from occfusion.synth.segmenter import ENDS, Segmenter
 from occfusion.synth.sensor import Picture, expose, exposure, metered, to_linear, white_gain
-from occfusion.synth.shading import Mesh, Window
+from occfusion.synth.shading import LinearMesh, Mesh, Window, draw_linear
 from occfusion.synth.studio import StudioCamera
 
 SHUTTER = 0.2  # of the time between two frames: a fiftieth of a second

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from io import BytesIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,8 +92,6 @@ def asset_bytes(name: str) -> bytes:
 
 def asset_arrays(name: str) -> dict[str, NDArray[np.generic]]:
     """Returns the arrays of an `.npz` file of the package."""
-    from io import BytesIO
-
     with np.load(BytesIO(asset_bytes(name)), allow_pickle=False) as content:
         return {key: content[key] for key in content.files}
 

@@ -82,12 +82,7 @@ def make_lamps(rng: np.random.Generator) -> Lamps:
         [np.sin(azimuth) * np.cos(height), -np.cos(azimuth) * np.cos(height), np.sin(height)], axis=1
     )
     strength = np.array([rng.uniform(*limits) for limits in STRENGTHS])
-    return Lamps(
-        towards,
-        strength[:, None] * tints,
-        np.array(SKY_TINT),
-        FLOOR_SHARE * np.array(FLOOR_TINT),
-    )
+    return Lamps(towards, strength[:, None] * tints, np.array(SKY_TINT), FLOOR_SHARE * np.array(FLOOR_TINT))
 
 
 def gloss_of(figure: Figure) -> Floats:
@@ -127,9 +122,8 @@ def seen_from(surface: LitSurface, lamps: Lamps, centre: Floats) -> tuple[Floats
         diffuse += arrived * oren_nayar(lit, seen, (towards @ lamp), ROUGHNESS)[:, None]
         half = towards + lamp
         half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-        glancing = (
-            FACING_SHINE + (1.0 - FACING_SHINE) * (1.0 - np.clip((half * towards).sum(axis=1), 0.0, 1.0)) ** 5
-        )
+        facing = np.clip((half * towards).sum(axis=1), 0.0, 1.0)
+        glancing = FACING_SHINE + (1.0 - FACING_SHINE) * (1.0 - facing) ** 5
         lobe = (exponent + 8.0) / 8.0 * np.maximum((normals * half).sum(axis=1), 0.0) ** exponent
         shine += arrived * (strength * glancing * lobe)[:, None]
     return diffuse * surface.shade[:, None], shine * surface.shade[:, None]

@@ -12,7 +12,7 @@ import numpy as np
 
 from occfusion.synth.rotations import Floats
 
-L_HIP, R_HIP, SPINE1, L_KNEE, R_KNEE, SPINE2, L_ANKLE, R_ANKLE, SPINE3 = range(1, 10)
+L_HIP, R_HIP, SPINE1, L_KNEE, R_KNEE, SPINE2, L_ANKLE, R_ANKLE = range(1, 9)
 NECK, HEAD, L_SHOULDER, R_SHOULDER, L_ELBOW, R_ELBOW = 12, 15, 16, 17, 18, 19
 
 ARMS_DOWN = 1.1  # radians from the T-pose; more pushes the arms into loose clothes

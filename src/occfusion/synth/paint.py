@@ -68,10 +68,8 @@ def _paint_body(points: Floats, subject: Subject) -> Floats:
     colours = _over(colours, regions.hair(points, subject, EDGE), _strands(points, subject))
     colours = _over(colours, regions.socks(points, EDGE), _cloth(points, 0.92 * WHITE, 11))
     lower = _cloth(points, subject.bottom_colour, 12) * _seams(points, subject)[:, None]
-    if subject.bottom != "skirt":
-        colours = _over(colours, regions.bottom(points, subject, EDGE), lower)
-    else:
-        colours = _over(colours, regions.bottom(points, subject, EDGE), 0.7 * lower)
+    lower *= 0.7 if subject.bottom == "skirt" else 1.0
+    colours = _over(colours, regions.bottom(points, subject, EDGE), lower)
     upper = _cloth(points, _pattern(points, subject), 13) * _hems(points, subject)[:, None]
     colours = _over(colours, regions.top(points, subject, EDGE), upper)
     leather = np.array([0.16, 0.10, 0.07]) * (1.0 + 0.1 * value_noise(points, 0.01, 14)[:, None])

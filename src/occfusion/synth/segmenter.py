@@ -54,9 +54,8 @@ class Segmenter:
     def __init__(self, size: int, frames: int, rng: np.random.Generator) -> None:
         self._scale = size / 512.0
         knots = int(np.ceil(size / (BUMP_WIDTH * self._scale))) + 2
-        self._bumps = (
-            smooth_noise(rng, frames, knots * knots, LASTING).astype(np.float32).reshape(-1, knots, knots)
-        )
+        bumps = smooth_noise(rng, frames, knots * knots, LASTING).astype(np.float32)
+        self._bumps = bumps.reshape(-1, knots, knots)
         self.events = _events(self._scale, frames, rng)
 
     def edge_shift(self, frame: int) -> NDArray[np.float32]:
@@ -83,9 +82,8 @@ class Segmenter:
             if event.first <= frame <= event.last:
                 x, y = place(event.joint)
                 away = np.hypot(rows[:, None] + 0.5 - y, columns + 0.5 - x)
-                shift += np.where(away < event.radius, event.sign * 2.0 * (event.radius - away), 0.0).astype(
-                    np.float32
-                )
+                moved = np.where(away < event.radius, event.sign * 2.0 * (event.radius - away), 0.0)
+                shift += moved.astype(np.float32)
         return np.asarray(shift, np.float32)
 
 

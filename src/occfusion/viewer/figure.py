@@ -145,11 +145,6 @@ class Figure:
 
 
 def _stamp(folder: RunFolder) -> tuple[tuple[int, int], ...]:
-    found = []
-    for name in STAGES:
-        left = folder.stage(name)
-        for path in (left.avatar, left.checkpoint):
-            if path.is_file():
-                status = path.stat()
-                found.append((status.st_mtime_ns, status.st_size))
-    return tuple(found)
+    paths = [path for name in STAGES for path in (folder.stage(name).avatar, folder.stage(name).checkpoint)]
+    known = [path.stat() for path in paths if path.is_file()]
+    return tuple((status.st_mtime_ns, status.st_size) for status in known)

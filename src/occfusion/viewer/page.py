@@ -214,12 +214,8 @@ class Page:
     def _count(self, now: float) -> None:
         self._shown += 1
         if now - self._since > 1.0:
-            rate = (
-                f", {self._shown / (now - self._since):.0f} pictures a second sent"
-                if self.playing.value
-                else ""
-            )
-            self.status.content = f"{self.figure.label}{rate}"
+            rate = f", {self._shown / (now - self._since):.0f} pictures a second sent"
+            self.status.content = f"{self.figure.label}{rate if self.playing.value else ''}"
             self._shown, self._since = 0, now
 
     def _send(self, row: int) -> None:

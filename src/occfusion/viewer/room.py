@@ -30,9 +30,4 @@ def furnish(server: ViserServer) -> None:
     server.scene.add_grid(FLOOR, width=side, height=side, plane="xz", cell_size=FLOOR_CELL * UNITS)
     camera = server.initial_camera
     camera.up, camera.fov = (0.0, 1.0, 0.0), _FIELD_OF_VIEW
-    camera.look_at, camera.position = (_scaled(place) for place in (_TARGET, EYE))
-
-
-def _scaled(place: tuple[float, float, float]) -> tuple[float, float, float]:
-    x, y, z = place
-    return UNITS * x, UNITS * y, UNITS * z
+    camera.look_at, camera.position = (tuple(UNITS * x for x in place) for place in (_TARGET, EYE))

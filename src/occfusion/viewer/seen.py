@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,7 +21,7 @@ from occfusion.show.views import HELD_OUT, TRAIN, View
 from occfusion.viewer.figure import Figure
 
 if TYPE_CHECKING:
-    from occfusion.data import HumanDataModule
+    from occfusion.data.module import HumanDataModule
 
 KINDS = ("input", "avatar", "truth", "error")
 TRAINING = "training"
@@ -69,7 +68,7 @@ class Seen:
         for view in held_out:
             self._views.setdefault(f"held out, camera {view.camera_index}", []).append(view)
         self._data: HumanDataModule | None = None
-        self._kept: OrderedDict[tuple[str, int | None], _Pictures] = OrderedDict()
+        self._kept: dict[tuple[str, int | None], _Pictures] = {}
         self._renderer = Renderer("auto")
 
     @property
@@ -103,17 +102,14 @@ class Seen:
             if known.truth is None:
                 black = np.zeros((*known.visible_mask.shape, 3), np.uint8)
                 return Shown(black, "these data have no truth: nobody saw what is hidden")
-            return Shown(
-                to_uint8(known.truth), f"the truth of frame {view.frame}, without what hides the person"
-            )
+            text = f"the truth of frame {view.frame}, without what hides the person"
+            return Shown(to_uint8(known.truth), text)
         drawn = self._draw(view, figure)
         if known.truth is not None:
             squared = float((drawn.clamp(0, 1) - known.truth).square().mean())
             decibels = f"{-10 * math.log10(squared):.1f} dB" if squared > 0 else "none"
-            return Shown(
-                to_uint8(error_map(drawn, known.truth)),
-                f"error x{ERROR_GAIN:g} against the truth of frame {view.frame}; whole frame {decibels}",
-            )
+            text = f"error x{ERROR_GAIN:g} against the truth of frame {view.frame}; whole frame {decibels}"
+            return Shown(to_uint8(error_map(drawn, known.truth)), text)
         seen = error_map(drawn, known.rgb) * known.visible_mask[..., None]
         where = f"the input of frame {view.frame}, where it shows the person: no truth is known"
         return Shown(to_uint8(seen), f"error x{ERROR_GAIN:g} against {where}")
@@ -142,5 +138,5 @@ class Seen:
             truth = None if frame.truth is None else frame.truth.rgb
             self._kept[key] = _Pictures(frame.rgb, frame.visible_mask, truth)
             if len(self._kept) > _MOST_KEPT:
-                self._kept.popitem(last=False)
+                del self._kept[next(iter(self._kept))]  # the oldest
         return self._kept[key]

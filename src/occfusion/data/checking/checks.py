@@ -8,13 +8,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from occfusion.data.scene import Calibration
+from occfusion.data.scene import Array, Calibration
 from occfusion.errors import DataError
 from occfusion.files.resolve import Unresolved
-
-Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
@@ -74,8 +71,6 @@ def shape_numbers(value: Any, where: str) -> Array:
     Raises:
         DataError: none or too many, not numbers, or not finite.
     """
-    if isinstance(value, Unresolved):
-        raise DataError(f"{where} is a {value.name} that cannot be read safely: {value.reason}.")
     count = count_of(value)
     if not 1 <= count <= MAX_SHAPES:
         raise DataError(f"{where} has {count} coefficients, expected 1 to {MAX_SHAPES} (usually 10).")

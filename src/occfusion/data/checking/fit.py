@@ -1,4 +1,7 @@
-"""Does the body lie where the masks are? If not: which known error would explain it; and a picture that shows it."""
+"""Does the body lie where the masks are? If not: which known error would explain it; and a picture that shows it.
+
+And from how many directions the video shows each place of the body.
+"""
 
 from __future__ import annotations
 
@@ -10,101 +13,97 @@ from numpy.typing import NDArray
 
 from occfusion.data.cameras import Lens
 from occfusion.data.checking import checks, overlap, survey
-from occfusion.data.checking.inspection import Finding, Inspection, guarded, listed, posed_bodies
+from occfusion.data.checking.inspection import Finding, Inspection, listed, looks_at, posed_bodies
 from occfusion.data.checking.overlap import LOW_OVERLAP, SUSPECT, explain_misfit, find_exchange
 from occfusion.data.checking.validation import JOINTS_INSIDE, MISSED
 from occfusion.data.outline_offsets import View
 from occfusion.data.registration import register
+from occfusion.data.sampling import evenly, spread
 from occfusion.data.scene import Array, Calibration
 from occfusion.errors import DataError
 from occfusion.files.images import read_rgb
+from occfusion.geometry.coverage import Sighting
+from occfusion.human.body import Body
+from occfusion.human.coverage import BodyCoverage, cover_body
 
 REGISTERED, REGISTERED_SIZE = 40, 512
 """Frames, and the longer side of their masks, by which a shift of the pictures is measured."""
 
 
-def inspect_fit(inspection: Inspection) -> list[Finding]:
+@looks_at("fit")
+def inspect_fit(inspection: Inspection) -> Iterator[Finding]:
     """Returns how well projected body, joints and masks agree, in the frames whose masks were opened."""
-    return guarded("fit", lambda: _fit(inspection))
-
-
-def _fit(inspection: Inspection) -> Iterator[Finding]:
     posed = posed_bodies(inspection)
     if inspection.camera not in inspection.sound or not posed:
         yield Finding(
             "note", "fit", "not checked: it needs a sound camera, parameters and a mask of one frame"
         )
         return
-    masks = {frame: inspection.people[frame].whole.full() for frame in posed}
-    seen = {frame: inspection.view(frame) for frame in posed}
-    yield from _in_view(posed, masks, seen)
-    bodies = {frame: vertices for frame, (vertices, _) in posed.items()}
-    scores = [overlap.mask_overlap(bodies[frame], seen[frame], masks[frame]) for frame in posed]
-    iou, inside = np.mean(scores, axis=0)
+    views = {
+        frame: (vertices, inspection.view(frame), inspection.people[frame].whole.full())
+        for frame, (vertices, _) in posed.items()
+    }
+    yield from _in_view(views)
+    iou, inside = np.mean([overlap.mask_overlap(*view) for view in views.values()], axis=0)
     crowded = any(inspection.people[frame].crowded for frame in posed)
     unknown = crowded or inspection.scene.files(next(iter(posed)), inspection.camera).truth_unknown
     good = (inside if unknown else iou) >= LOW_OVERLAP
-    away = np.median([checks.project(joints, seen[f])[1].mean() for f, (_, joints) in posed.items()])
+    joints = [(places, *views[frame][1:]) for frame, (_, places) in posed.items()]
+    away = np.median([checks.project(places, camera)[1].mean() for places, camera, _ in joints])
     text = (
         f"IoU of projected body and mask {iou:.2f}, {inside:.0%} of the mask inside the body, the person "
         f"{away:.3g} m from the camera"
     )
     cure = ""
     if not good:
-        cure = explain_misfit(list(bodies.values()), list(masks.values()), list(seen.values())) or (
+        cure = explain_misfit(list(views.values())) or (
             "check R, T, K, Rh, Th, the body file, and that masks and parameters are of the same person"
         )
     yield Finding("ok" if good else "error" if inside < MISSED else "doubt", "fit", text, cure)
-    shares = [
-        overlap.joints_inside(joints, seen[frame], masks[frame]) for frame, (_, joints) in posed.items()
-    ]
-    joints_share = np.mean(shares)
+    joints_share = np.mean([overlap.joints_inside(*view) for view in joints])
     fine = joints_share >= JOINTS_INSIDE or unknown
     yield Finding(
         "ok" if fine else "doubt", "joints", f"{joints_share:.0%} of the joints are inside the mask",
         "" if fine else "check cameras, poses, and that mask and parameters are of the same person",
     )  # fmt: skip
-    yield _occlusion(inspection, bodies, seen, unknown)
+    yield _occlusion(inspection, views, unknown)
 
 
-def _in_view(
-    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], seen: dict[int, Calibration]
-) -> Iterator[Finding]:
+Views = dict[int, tuple[Array, Calibration, NDArray[np.bool_]]]
+"""By frame the body in the world, the camera, and the whole person in the mask."""
+
+
+def _in_view(views: Views) -> Iterator[Finding]:
     outside = []
-    for frame, (vertices, _) in posed.items():
-        height, width = masks[frame].shape
+    for frame, (vertices, camera, mask) in views.items():
         try:
-            checks.check_in_view(vertices, seen[frame], (width, height), f"frame {frame}")
+            checks.check_in_view(vertices, camera, mask.shape[::-1], f"frame {frame}")
         except DataError as error:
             outside.append(str(error))
     if outside:
-        level = "error" if len(outside) == len(posed) else "doubt"
-        yield Finding(level, "in view", f"{len(outside)} of {len(posed)} frames: {outside[0]}")
+        level = "error" if len(outside) == len(views) else "doubt"
+        yield Finding(level, "in view", f"{len(outside)} of {len(views)} frames: {outside[0]}")
 
 
-def _occlusion(
-    inspection: Inspection, bodies: dict[int, Array], seen: dict[int, Calibration], unknown: bool
-) -> Finding:
+def _occlusion(inspection: Inspection, views: Views, unknown: bool) -> Finding:
+    people = {frame: inspection.people[frame] for frame in views}
     if unknown:
         shares = [
-            overlap.seen_share(body, seen[f], inspection.people[f].seen.full()) for f, body in bodies.items()
+            overlap.seen_share(*views[frame][:2], person.seen.full()) for frame, person in people.items()
         ]
         how = "estimated from the projected body"
     else:
-        shares = [inspection.people[frame].visible_share(None) for frame in bodies]
+        shares = [person.visible_share(None) for person in people.values()]
         how = "from complete masks, or nothing is known to hide anything"
-    hidden = {frame: 1 - share for frame, share in zip(bodies, shares, strict=True)}
+    hidden = {frame: 1 - share for frame, share in zip(people, shares, strict=True)}
     each = listed((f"{frame}: {share:.0%}" for frame, share in hidden.items()), 12)
     level = "note" if max(hidden.values()) > 0 else "ok"
     return Finding(level, "occlusion", f"hidden share by frame ({how}): {each}")
 
 
-def inspect_registration(inspection: Inspection) -> list[Finding]:
+@looks_at("registration")
+def inspect_registration(inspection: Inspection) -> Iterator[Finding]:
     """Returns whether pictures of the training camera are shifted or scaled as a whole against the projected body."""
-    return guarded("registration", lambda: _registration(inspection))
-
-
-def _registration(inspection: Inspection) -> Iterator[Finding]:
     faces = getattr(inspection.poser.body, "faces", None)
     if (
         inspection.camera not in inspection.sound
@@ -116,10 +115,8 @@ def _registration(inspection: Inspection) -> Iterator[Finding]:
             "note", "registration", "not measured: it needs a sound camera, parameters and their body file"
         )
         return
-    frames = sorted(frame for frame in inspection.bodies if inspection.scene.shows(frame, inspection.camera))
-    chosen = {int(k) for k in np.linspace(0, len(frames) - 1, REGISTERED).round()} if frames else set()
     views = []
-    for frame in (frames[k] for k in sorted(chosen)):
+    for frame in evenly(inspection.posed_frames(), REGISTERED):
         person = inspection.people.get(frame) or survey.read_person(
             inspection.scene, frame, inspection.camera
         )
@@ -143,37 +140,32 @@ def _registration(inspection: Inspection) -> Iterator[Finding]:
     )  # fmt: skip
 
 
-def inspect_other_cameras(inspection: Inspection) -> list[Finding]:
+@looks_at("other cameras")
+def inspect_other_cameras(inspection: Inspection) -> Iterator[Finding]:
     """Returns the cameras, other than the one trained on, where the body misses the mask in one frame."""
-
-    def findings() -> Iterator[Finding]:
-        frame = next((f for f in inspection.sample() if f in inspection.bodies), None)
-        others = [index for index in inspection.sound if index != inspection.camera]
-        others = [index for index in others if frame is not None and inspection.scene.shows(frame, index)]
-        if frame is None or not others:
-            return
-        vertices = inspection.poser.pose(inspection.bodies[frame])[0]
-        fits, seen = {}, []
-        if inspection.camera in inspection.sound and frame in inspection.people:
-            seen.append((inspection.view(frame), inspection.people[frame].whole.full()))
-        for index in others:
-            person = survey.read_person(inspection.scene, frame, index).whole
-            seen.append((inspection.sound[index], person.full()))
-            if not person.empty:
-                fits[inspection.sound[index].name] = overlap.mask_overlap(vertices, *seen[-1])[0]
-        bad = [name for name, fit in fits.items() if fit < LOW_OVERLAP]
-        if any(fit < SUSPECT for fit in fits.values()) and (exchange := find_exchange([(vertices, seen)])):
-            text = f"frame {frame}: {exchange}"
-            yield Finding("error", "other cameras", text, "exchange them back in the camera file")
-        elif bad:
-            text = (
-                f"body and mask overlap badly in {len(bad)} of {len(others)} in frame {frame}: {listed(bad)}"
-            )
-            yield Finding("doubt", "other cameras", text, "check their R and T")
-        else:
-            yield Finding("ok", "other cameras", f"body and mask fit in all {len(others)} in frame {frame}")
-
-    return guarded("other cameras", findings)
+    frame = next((f for f in inspection.sample() if f in inspection.bodies), None)
+    others = [index for index in inspection.sound if index != inspection.camera]
+    others = [index for index in others if frame is not None and inspection.scene.shows(frame, index)]
+    if frame is None or not others:
+        return
+    vertices = inspection.poser.pose(inspection.bodies[frame])[0]
+    fits, seen = {}, []
+    if inspection.camera in inspection.sound and frame in inspection.people:
+        seen.append((inspection.view(frame), inspection.people[frame].whole.full()))
+    for index in others:
+        person = survey.read_person(inspection.scene, frame, index).whole
+        seen.append((inspection.sound[index], person.full()))
+        if not person.empty:
+            fits[inspection.sound[index].name] = overlap.mask_overlap(vertices, *seen[-1])[0]
+    bad = [name for name, fit in fits.items() if fit < LOW_OVERLAP]
+    if any(fit < SUSPECT for fit in fits.values()) and (exchange := find_exchange([(vertices, seen)])):
+        text = f"frame {frame}: {exchange}"
+        yield Finding("error", "other cameras", text, "exchange them back in the camera file")
+    elif bad:
+        text = f"body and mask overlap badly in {len(bad)} of {len(others)} in frame {frame}: {listed(bad)}"
+        yield Finding("doubt", "other cameras", text, "check their R and T")
+    else:
+        yield Finding("ok", "other cameras", f"body and mask fit in all {len(others)} in frame {frame}")
 
 
 HEIGHT = 480
@@ -191,8 +183,7 @@ def draw_overlay(inspection: Inspection) -> NDArray[np.uint8] | None:
     posed = posed_bodies(inspection)
     if inspection.camera not in inspection.sound or not posed:
         return None
-    frames = list(posed)
-    chosen = sorted({frames[int(k)] for k in np.linspace(0, len(frames) - 1, COLUMNS).round()})
+    chosen = sorted(evenly(list(posed), COLUMNS))
     columns = [
         column for frame in chosen if (column := _column(inspection, frame, *posed[frame])) is not None
     ]
@@ -225,3 +216,46 @@ def _edge(canvas: NDArray[np.uint8], mask: NDArray[np.bool_], colour: tuple[int,
     scaled = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     edges, _ = cv2.findContours(scaled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(canvas, edges, -1, colour, 1)
+
+
+COVERED_FRAMES = 60
+"""Frames whose masks are held against the body, evenly spread; a run takes more."""
+COVERED_SIDE = 512
+"""Longer side of the masks that the body is held against, pixels."""
+
+
+def _measure_coverage(inspection: Inspection) -> BodyCoverage | None:
+    """Returns how well the training camera shows the body; None where no frame has camera, mask and parameters."""
+    body = inspection.poser.body
+    if inspection.camera not in inspection.sound or not isinstance(body, Body):
+        return None
+    frames = inspection.posed_frames()
+    chosen = (frames[k] for k in spread(len(frames), COVERED_FRAMES))
+    return cover_body((s for frame in chosen if (s := _sighting(inspection, frame)) is not None), body)
+
+
+def _sighting(inspection: Inspection, frame: int) -> Sighting | None:
+    try:
+        mask = survey.read_person(inspection.scene, frame, inspection.camera).seen.full()
+    except DataError:  # reported where masks are looked at
+        return None
+    camera = inspection.view(frame)
+    vertices, _ = inspection.poser.pose(inspection.bodies[frame])
+    pixels, depths = checks.project(vertices, camera)
+    scale = min(1.0, COVERED_SIDE / max(mask.shape))
+    size = (max(round(mask.shape[1] * scale), 1), max(round(mask.shape[0] * scale), 1))
+    small = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
+    return Sighting(vertices, pixels * scale, depths, camera.centre, float(camera.K[0, 0]) * scale, small)
+
+
+@looks_at("directions")
+def inspect_coverage(inspection: Inspection) -> Iterator[Finding]:
+    """Returns from how many directions the body is seen, and which parts nobody sees; `inspection` keeps it."""
+    inspection.coverage = _measure_coverage(inspection)
+    if inspection.coverage is None:
+        return
+    yield Finding("ok", "directions", inspection.coverage.text())
+    for text in inspection.coverage.warnings():
+        yield Finding(
+            "note", "directions", text, "film the person from more sides, or let them turn round once"
+        )

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import wraps
 from itertools import pairwise
 
 import numpy as np
 
 from occfusion.data.checking import checks, survey, validation
 from occfusion.data.posing import Poser
+from occfusion.data.sampling import evenly
 from occfusion.data.scene import Array, BodyParameters, Calibration, Scene
 from occfusion.errors import DataError, OccfusionError
 from occfusion.files.images import image_size
@@ -99,37 +101,47 @@ class Inspection:
         """Returns the camera that is to be trained on, as it was at a frame."""
         return self.scene.view(frame, self.camera) if self.scene.zooms else self.sound[self.camera]
 
-    def sample(self, count: int = INSPECTED_FRAMES) -> list[int]:
+    def posed_frames(self) -> list[int]:
+        """Returns the frames that have parameters and, of the camera that is to be trained on, a picture."""
+        return [frame for frame in sorted(self.bodies) if self.scene.shows(frame, self.camera)]
+
+    def sample(self) -> list[int]:
         """Returns a few frames, evenly spread."""
-        last = self.scene.num_frames - 1
-        return sorted({int(frame) for frame in np.linspace(0, last, min(count, last + 1)).round()})
+        return evenly(range(self.scene.num_frames), INSPECTED_FRAMES)
 
 
-def inspect_files(inspection: Inspection) -> list[Finding]:
+Look = Callable[[Inspection], Iterable[Finding]]
+
+
+def looks_at(topic: str) -> Callable[[Look], Callable[[Inspection], list[Finding]]]:
+    """Makes a look at an inspection one that `guarded` guards."""
+
+    def decorate(look: Look) -> Callable[[Inspection], list[Finding]]:
+        return wraps(look)(lambda inspection: guarded(topic, lambda: look(inspection)))
+
+    return decorate
+
+
+@looks_at("files")
+def inspect_files(inspection: Inspection) -> Iterator[Finding]:
     """Returns what is missing, of all frames and cameras."""
-
-    def findings() -> Iterator[Finding]:
-        scene, missing, total = inspection.scene, [], 0
-        for frame in range(scene.num_frames):
-            missing += [path for path in scene.evidence(frame) if not path.is_file()]
-            for camera in range(len(scene.cameras)):
-                if not scene.shows(frame, camera):
-                    continue
-                total += 1
-                missing += [path for path in scene.files(frame, camera).all() if not path.is_file()]
-        if not missing:
-            yield Finding(
-                "ok", "files", f"all there: {scene.num_frames} frames of {len(scene.cameras)} cameras"
-            )
-            return
-        unique = sorted(set(missing))
-        names = listed((os.path.relpath(path, scene.root) for path in unique), 4)
-        yield Finding(
-            "error", "files", f"{len(unique)} files of {total} views are missing: {names}",
-            "complete them, or choose dataset.train_frames, train_camera and test_cameras that are whole",
-        )  # fmt: skip
-
-    return guarded("files", findings)
+    scene, missing, total = inspection.scene, [], 0
+    for frame in range(scene.num_frames):
+        missing += [path for path in scene.evidence(frame) if not path.is_file()]
+        for camera in range(len(scene.cameras)):
+            if not scene.shows(frame, camera):
+                continue
+            total += 1
+            missing += [path for path in scene.files(frame, camera).all() if not path.is_file()]
+    if not missing:
+        yield Finding("ok", "files", f"all there: {scene.num_frames} frames of {len(scene.cameras)} cameras")
+        return
+    unique = sorted(set(missing))
+    names = listed((os.path.relpath(path, scene.root) for path in unique), 4)
+    yield Finding(
+        "error", "files", f"{len(unique)} files of {total} views are missing: {names}",
+        "complete them, or choose dataset.train_frames, train_camera and test_cameras that are whole",
+    )  # fmt: skip
 
 
 def inspect_cameras(inspection: Inspection) -> list[Finding]:
@@ -153,8 +165,7 @@ def _camera(inspection: Inspection, camera: int) -> Iterator[Finding]:
     calibration = scene.calibration(camera)
     count = INSPECTED_FRAMES if camera == inspection.camera else INSPECTED_HELD_OUT
     shown = [frame for frame in range(scene.num_frames) if scene.shows(frame, camera)] or [0]
-    chosen = sorted({shown[int(k)] for k in np.linspace(0, len(shown) - 1, min(count, len(shown))).round()})
-    views = [(f, camera) for f in chosen if scene.files(f, camera).rgb.is_file()]
+    views = [(f, camera) for f in evenly(shown, count) if scene.files(f, camera).rgb.is_file()]
     if views:
         size = image_size(scene.files(*views[0]).rgb)
         for frame in shown if scene.zooms else shown[:1]:
@@ -221,44 +232,39 @@ def _jumps(inspection: Inspection, before: int, after: int) -> bool:
     a, b = inspection.bodies[before], inspection.bodies[after]
     turn = checks.turn_between(a.global_orient, b.global_orient)
     step = b.transl - a.transl
-    if (
-        inspection.scene.zooms
-    ):  # focal length and distance trade for each other: nearer or farther is no motion
+    if inspection.scene.zooms:  # distance trades for focal length: nearer or farther is no motion
         ray = a.transl - inspection.scene.calibration(inspection.camera).centre
         step = step - ray * (step @ ray) / max(float(ray @ ray), JUMP)
     return bool(np.linalg.norm(step) > JUMP or turn > SHARP_TURN)
 
 
-def inspect_masks(inspection: Inspection) -> list[Finding]:
+@looks_at("masks")
+def inspect_masks(inspection: Inspection) -> Iterator[Finding]:
     """Returns what the masks of the training camera show in a few frames."""
-
-    def findings() -> Iterator[Finding]:
-        where, frames = str(inspection.scene.root), inspection.sample()
-        unreadable = []
-        for frame in frames:
-            try:
-                inspection.people[frame] = survey.read_person(inspection.scene, frame, inspection.camera)
-            except DataError as error:
-                unreadable.append(str(error))
-        for text in unreadable[:3]:
-            yield Finding("error", "masks", text)
-        seen = {frame: person.seen for frame, person in inspection.people.items()}
-        empty = [frame for frame, person in seen.items() if person.empty]
-        if empty:
-            level = "error" if len(empty) == len(seen) else "doubt"
-            yield Finding(
-                level, "masks", f"{len(empty)} of {len(frames)} frames looked at show nobody: {listed(empty)}",
-                "such frames are left out; check the masks if somebody is in them",
-            )  # fmt: skip
-        warnings = validation.mask_warnings(where, list(seen), list(seen.values()))
-        for text in warnings:
-            yield Finding("doubt", "masks", text)
-        shares = [int(p.crop().sum()) / (p.width * p.height) for p in seen.values() if not p.empty]
-        if shares:
-            text = f"cover {min(shares):.1%} to {max(shares):.1%} of the picture in {len(shares)} frames"
-            yield Finding("ok" if not (warnings or empty or unreadable) else "note", "masks", text)
-
-    return guarded("masks", findings)
+    where, frames = str(inspection.scene.root), inspection.sample()
+    unreadable = []
+    for frame in frames:
+        try:
+            inspection.people[frame] = survey.read_person(inspection.scene, frame, inspection.camera)
+        except DataError as error:
+            unreadable.append(str(error))
+    for text in unreadable[:3]:
+        yield Finding("error", "masks", text)
+    seen = {frame: person.seen for frame, person in inspection.people.items()}
+    empty = [frame for frame, person in seen.items() if person.empty]
+    if empty:
+        level = "error" if len(empty) == len(seen) else "doubt"
+        yield Finding(
+            level, "masks", f"{len(empty)} of {len(frames)} frames looked at show nobody: {listed(empty)}",
+            "such frames are left out; check the masks if somebody is in them",
+        )  # fmt: skip
+    warnings = validation.mask_warnings(where, list(seen), list(seen.values()))
+    for text in warnings:
+        yield Finding("doubt", "masks", text)
+    shares = [int(p.crop().sum()) / (p.width * p.height) for p in seen.values() if not p.empty]
+    if shares:
+        text = f"cover {min(shares):.1%} to {max(shares):.1%} of the picture in {len(shares)} frames"
+        yield Finding("ok" if not (warnings or empty or unreadable) else "note", "masks", text)
 
 
 def posed_bodies(inspection: Inspection) -> dict[int, tuple[Array, Array]]:

@@ -98,22 +98,15 @@ CAMERA_ERRORS: dict[str, Callable[[Calibration], Calibration]] = {
 """Errors seen in data of this field, as what would undo them."""
 
 
-def explain_misfit(
-    vertices: Sequence[Array],
-    masks: Sequence[NDArray[np.bool_]],
-    cameras: Calibration | Sequence[Calibration],
-) -> str:
+def explain_misfit(views: Sequence[tuple[Array, Calibration, NDArray[np.bool_]]]) -> str:
     """Returns a sentence naming the error in the camera whose undoing makes body and masks meet; empty when none does.
 
     Args:
-        vertices: the body in the world in some frames, each `[V, 3]`, metres.
-        masks: the person in the same frames, each `[H, W]`.
-        cameras: the camera as it was read; one a frame where its lens zoomed.
+        views: of some frames the body in the world, `[V, 3]`, metres; the camera as it was read; and the person,
+            `[H, W]`.
     """
-    read = [cameras] * len(masks) if isinstance(cameras, Calibration) else cameras
 
     def fit(undo: Callable[[Calibration], Calibration]) -> float:
-        views = zip(vertices, read, masks, strict=True)
         return float(np.mean([mask_overlap(body, undo(camera), mask)[0] for body, camera, mask in views]))
 
     best, reason = fit(lambda camera: camera) + EXPLAINS, ""

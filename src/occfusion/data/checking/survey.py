@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from occfusion.data.scene import Scene
-from occfusion.data.silhouette import Hidden, Silhouette, read_people
+from occfusion.data.silhouette import Hidden, Silhouette, read_people, require_size
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, sound_size
 
@@ -45,18 +45,16 @@ class Person:
 
 def require_files(scene: Scene, views: Iterable[tuple[int, int]]) -> None:
     """Raises DataError naming the first missing file of `(frame, camera)` views and of their poses."""
-    missing: list[Path] = []
-    seen: set[Path] = set()
-    for frame, camera in views:
-        for path in (*scene.evidence(frame), *scene.files(frame, camera).all()):
-            if path not in seen:
-                seen.add(path)
-                if not path.is_file():
-                    missing.append(path)
+    needed = dict.fromkeys(
+        path
+        for frame, camera in views
+        for path in (*scene.evidence(frame), *scene.files(frame, camera).all())
+    )
+    missing = [path for path in needed if not path.is_file()]
     if missing:
         more = f" and {len(missing) - 1} more files" if len(missing) > 1 else ""
         raise DataError(
-            f"{missing[0]}: file not found{more}, out of {len(seen)} that this training needs. Complete the "
+            f"{missing[0]}: file not found{more}, out of {len(needed)} that this training needs. Complete the "
             "folder, or choose dataset.train_frames and dataset.test_cameras that it has."
         )
 
@@ -71,11 +69,7 @@ def require_sizes(scene: Scene, views: Iterable[tuple[int, int]], sizes: dict[in
     """
     for frame, camera in views:
         for path in scene.files(frame, camera).all():
-            if (size := sound_size(path)) != sizes[camera]:
-                raise DataError(
-                    f"{path}: {size[0]} x {size[1]} pixels, but this camera's pictures have "
-                    f"{sizes[camera][0]} x {sizes[camera][1]}; pictures and masks must have one size."
-                )
+            require_size(sound_size(path), path, sizes[camera])
 
 
 def scan_people(scene: Scene, frames: Sequence[int], camera: int) -> list[Person]:
@@ -110,9 +104,8 @@ def data_hash(scene: Scene, views: Iterable[tuple[int, int]], settings: str) -> 
                     while part := stream.read(HASHED_AT_ONCE):
                         digest.update(part)
         for path in scene.files(frame, camera).all():
-            digest.update(
-                f"{Path(os.path.relpath(path, scene.root)).as_posix()} {path.stat().st_size}\n".encode()
-            )
+            name = Path(os.path.relpath(path, scene.root)).as_posix()
+            digest.update(f"{name} {path.stat().st_size}\n".encode())
     return digest.hexdigest()[:16]
 
 
@@ -126,9 +119,8 @@ def hidden_digest(hidden: Iterable[Hidden | None]) -> str:
     """Returns a fingerprint of what is hidden in each frame: settings alone do not say what files hold."""
     digest = hashlib.sha256()
     for part in hidden:
-        digest.update(
-            repr(part.box).encode() + part.bits.tobytes()
-            if isinstance(part, Silhouette)
-            else repr(part).encode()
-        )
+        if isinstance(part, Silhouette):
+            digest.update(repr(part.box).encode() + part.bits.tobytes())
+        else:
+            digest.update(repr(part).encode())
     return digest.hexdigest()

@@ -11,6 +11,7 @@ from occfusion.data.checking import checks, overlap, survey
 from occfusion.data.checking.overlap import LOW_OVERLAP, SUSPECT, explain_misfit, find_exchange
 from occfusion.data.posing import Poser
 from occfusion.data.prepare import Prepared
+from occfusion.data.sampling import evenly
 from occfusion.data.scene import Array, Calibration, Scene
 from occfusion.data.silhouette import Silhouette
 from occfusion.data.views import Views
@@ -75,7 +76,7 @@ def validate(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
 def _refuse_exchanged_cameras(prepared: Prepared, views: Views, poser: Poser) -> None:
     """Looks among all cameras of the scene, for the other one need not be one that the run reads."""
     scene, moments = prepared.scene, []
-    for frame in [prepared.train[k] for k in _checked(len(prepared.train))]:
+    for frame in evenly(prepared.train, CHECKED_FRAMES):
         seen = []
         for camera in range(len(scene.cameras)):
             try:
@@ -88,11 +89,6 @@ def _refuse_exchanged_cameras(prepared: Prepared, views: Views, poser: Poser) ->
         return
     if found := find_exchange(moments):
         raise DataError(f"{scene.root}: {found}, mean of {len(moments)} frames. Exchange them back.")
-
-
-def _checked(count: int) -> list[int]:
-    """Returns the positions of a few of so many frames, the first and the last among them."""
-    return sorted({int(k) for k in np.linspace(0, count - 1, CHECKED_FRAMES).round()})
 
 
 def estimated_shares(prepared: Prepared, views: Views, poser: Poser) -> list[float]:
@@ -149,58 +145,52 @@ def _check_height(vertices: Array, where: str) -> None:
 
 def _check_projection(prepared: Prepared, views: Views, poser: Poser) -> list[str]:
     where, camera = str(prepared.scene.root), prepared.scene.calibration(prepared.camera)
-    positions = _checked(len(prepared.train))
-    people = {prepared.train[k]: prepared.people[k].whole for k in positions}
-    posed = {frame: poser.pose(views.parameters(frame)) for frame in people}
-    masks = {frame: person.full() for frame, person in people.items()}
-    seen = {frame: prepared.scene.view(frame, prepared.camera) for frame in people}
+    frames = evenly(prepared.train, CHECKED_FRAMES)
+    masks = [person.whole.full() for person in evenly(prepared.people, CHECKED_FRAMES)]
+    posed = [poser.pose(views.parameters(frame)) for frame in frames]
+    cameras = [prepared.scene.view(frame, prepared.camera) for frame in frames]
+    seen = list(zip([vertices for vertices, _ in posed], cameras, masks, strict=True))
     try:
-        for frame, person in people.items():
-            checks.check_in_view(
-                posed[frame][0], seen[frame], (person.width, person.height), f"{where}, frame {frame}"
-            )
+        for frame, (vertices, view, mask) in zip(frames, seen, strict=True):
+            checks.check_in_view(vertices, view, mask.shape[::-1], f"{where}, frame {frame}")
     except DataError as error:
-        raise DataError(f"{error}{_explanation(posed, masks, seen)}") from None
-    fits = {frame: overlap.mask_overlap(posed[frame][0], seen[frame], masks[frame]) for frame in people}
-    inside = float(np.mean([share for _, share in fits.values()]))
+        raise DataError(f"{error}{_explanation(seen)}") from None
+    fits = [overlap.mask_overlap(*view) for view in seen]
+    inside = float(np.mean([share for _, share in fits]))
     if inside < MISSED:
         raise DataError(
             f"{where}: the projected body misses the person's mask in camera {camera.name}: "
-            f"{inside:.0%} of the mask is inside it, mean of {len(people)} frames. Check R "
+            f"{inside:.0%} of the mask is inside it, mean of {len(frames)} frames. Check R "
             "(transposed?), T (millimetres), Rh and Th, and that the body file is the one the "
-            f"parameters were fitted with.{_explanation(posed, masks, seen)}"
+            f"parameters were fitted with.{_explanation(seen)}"
         )
     if any(prepared.unknown):  # what is hidden lowers the IoU of a perfect fit; the rest must be inside
         if inside >= LOW_OVERLAP:
             return []
         return [
             f"{where}: only {inside:.0%} of the visible mask is inside the projected body in camera "
-            f"{camera.name}, mean of {len(people)} frames; embedded people have 80 % and more. Check the cameras, the "
+            f"{camera.name}, mean of {len(frames)} frames; embedded people have 80 % and more. Check the cameras, the "
             f"parameters, the body file, and that the masks are of the same person."
-            f"{_explanation(posed, masks, seen)}"
+            f"{_explanation(seen)}"
         ]
-    worst = min(fits, key=lambda frame: fits[frame][0])
-    if fits[worst][0] < LOW_OVERLAP:
+    iou, worst = min(zip([iou for iou, _ in fits], frames, strict=True))
+    if iou < LOW_OVERLAP:
         return [
-            f"{where}, frame {worst}: projected body and mask overlap by only {fits[worst][0]:.2f} (IoU) in "
+            f"{where}, frame {worst}: projected body and mask overlap by only {iou:.2f} (IoU) in "
             f"camera {camera.name}; a good fit has 0.8. Check the cameras, Rh, Th, the body file, the masks."
-            f"{_explanation(posed, masks, seen)}"
+            f"{_explanation(seen)}"
         ]
-    joints = float(np.mean([overlap.joints_inside(posed[f][1], seen[f], masks[f]) for f in people]))
-    if joints < JOINTS_INSIDE:
+    shares = [overlap.joints_inside(p[1], view, m) for p, view, m in zip(posed, cameras, masks, strict=True)]
+    if (share := float(np.mean(shares))) < JOINTS_INSIDE:
         return [
-            f"{where}: only {joints:.0%} of the joints lie inside the mask in camera {camera.name}, mean of "
-            f"{len(people)} frames; embedded people in full view have 87 % and more. Check cameras, poses and masks."
+            f"{where}: only {share:.0%} of the joints lie inside the mask in camera {camera.name}, mean of "
+            f"{len(frames)} frames; embedded people in full view have 87 % and more. Check cameras, poses and masks."
         ]
     return []
 
 
-def _explanation(
-    posed: dict[int, tuple[Array, Array]], masks: dict[int, NDArray[np.bool_]], seen: dict[int, Calibration]
-) -> str:
-    reason = explain_misfit(
-        [vertices for vertices, _ in posed.values()], list(masks.values()), list(seen.values())
-    )
+def _explanation(seen: Sequence[tuple[Array, Calibration, NDArray[np.bool_]]]) -> str:
+    reason = explain_misfit(seen)
     return f" {reason[0].upper()}{reason[1:]}." if reason else ""
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
 
-from occfusion.data.cameras import OPENCV_CENTRE, FixedCamera
+from occfusion.data.cameras import FixedCamera
 from occfusion.data.checking import checks
 from occfusion.data.folder_contents import need
 from occfusion.data.ocmotion.ocmotion_annotations import (
@@ -27,7 +27,6 @@ from occfusion.data.ocmotion.ocmotion_annotations import (
     Person,
     Shot,
     annotation_files,
-    camera_moves,
     count_people,
     distance,
     find_sequence,
@@ -38,7 +37,8 @@ from occfusion.data.ocmotion.ocmotion_annotations import (
     sequence_names,
     successor,
 )
-from occfusion.data.ocmotion.ocmotion_joints import Posing, evenly, limb_distances, limb_warnings
+from occfusion.data.ocmotion.ocmotion_joints import COMPARED_FRAMES, Posing, limb_distances, limb_warnings
+from occfusion.data.sampling import evenly
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.images import image_size
@@ -135,7 +135,7 @@ class ChompScene(Scene):
     def body_warnings(self, pose: Posing) -> list[str]:
         """Returns a sentence where the body's limbs are far from the annotated key points of the first camera."""
         found = []
-        for frame in evenly(range(self.num_frames)):
+        for frame in evenly(range(self.num_frames), COMPARED_FRAMES):
             row, where = self._row(frame, 0), f"{self._where[frame]}, lsp_joints_2d"
             if "lsp_joints_2d" in row:
                 joints = pose(self.parameters(frame))[1]
@@ -144,8 +144,14 @@ class ChompScene(Scene):
 
     def require_masks(self) -> None:
         """Raises DataError where there is not one mask: the data set comes without."""
-        if not self._mask_folder.is_dir():
-            raise DataError(f"{self._mask_folder}: no such folder. {self._masks_needed()}")
+        if self._mask_folder.is_dir():
+            return
+        example = self.files(0, 0)
+        raise DataError(
+            f"{self._mask_folder}: no such folder. OcMotion comes without person masks: make one for each picture "
+            f"with a segmenter, 0 and 255 (255 the visible person alone), at {example.masks[0]} for {example.rgb}; or "
+            "use Wild2Avatar's cut, which has masks. dataset.masks names another folder."
+        )
 
     def _row(self, frame: int, camera: int) -> Person:
         return self._shots[frame][camera].people[self._person]
@@ -153,14 +159,7 @@ class ChompScene(Scene):
     def _rig(self, camera: int) -> FixedCamera:
         where = [f"{at}, camera {camera}" for at in self._where]
         people = [self._row(frame, camera) for frame in range(self.num_frames)]
-        return FixedCamera(
-            self.cameras[camera],
-            [need(row, "intri", at) for row, at in zip(people, where, strict=True)],
-            [need(row, "extri", at) for row, at in zip(people, where, strict=True)],
-            None,
-            where,
-            OPENCV_CENTRE,
-        )
+        return FixedCamera.of_rows(self.cameras[camera], people, where, ("intri", "extri"))
 
     def _check_sizes(self) -> None:
         """Raises DataError where a camera's first picture is not of the declared size."""
@@ -201,25 +200,17 @@ class ChompScene(Scene):
     def _strange_camera(self) -> int | None:
         """Returns the first camera whose annotation places the person elsewhere than the first camera's."""
         for camera in range(1, len(self.cameras)):
-            for frame in evenly(range(self.num_frames)):
+            for frame in evenly(range(self.num_frames), COMPARED_FRAMES):
                 gap = distance(self._row(frame, 0), self._row(frame, camera))
                 if gap is not None and gap > SAME_PLACE:
                     return camera
         return None
 
-    def _masks_needed(self) -> str:
-        example = self.files(0, 0)
-        return (
-            "OcMotion comes without person masks: make one for each picture with a segmenter, 0 and 255 "
-            f"(255 the visible person alone), at {example.masks[0]} for {example.rgb}; or use Wild2Avatar's cut, which "
-            "has masks. dataset.masks names another folder."
-        )
-
     def _say(self, found: Found, shots: list[list[Shot]], frame_sets: FrameSets) -> Taken:
         person, place = self._person, f"annot/{self._file.name}"
         key = next(key for row in found.cameras[0] for key in row if person_number(key) == person)
         shapes = len({repr(self._row(frame, 0).get("betas")) for frame in range(self.num_frames)})
-        moves = camera_moves([self._row(frame, 0)["extri"] for frame in range(self.num_frames)])
+        moves = self._rigs[0].moves
         there = self._mask_folder.is_dir()
         values = "every value but 0" if self._label is None else f"value {self._label}"
         return Taken(

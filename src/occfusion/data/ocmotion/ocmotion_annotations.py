@@ -24,9 +24,6 @@ from occfusion.files.unpickle import load_pickle
 PATH, SIZE = "img_path", "h_w"
 """Keys of a row that are no people."""
 
-SAME_VIEW = 1e-6
-"""Extrinsics this near to each other are one camera, written in float32."""
-
 SAME_PLACE = 0.3
 """Metres from frame to frame, and from camera to camera, within which two people may be one."""
 
@@ -123,29 +120,20 @@ def pair(cameras: Sequence[Sequence[Shot]]) -> FrameSets:
     """
     numbers = [[last_number(shot.path.stem) for shot in shots] for shots in cameras]
     if all(None not in found and len(set(found)) == len(found) for found in numbers):
-        by_number = [
-            dict(zip(found, shots, strict=True)) for found, shots in zip(numbers, cameras, strict=True)
-        ]
+        by_number = [dict(zip(*both, strict=True)) for both in zip(numbers, cameras, strict=True)]
         known = set.intersection(*(set(found) for found in numbers))
         everything = set.union(*(set(found) for found in numbers))
         order = sorted(number for number in known if number is not None)
         return FrameSets(
             [tuple(camera[k] for camera in by_number) for k in order], len(everything - known), True
         )
-    count = min(len(shots) for shots in cameras)
-    most = max(len(shots) for shots in cameras)
-    return FrameSets([tuple(shots[k] for shots in cameras) for k in range(count)], most - count, False)
+    shots = list(zip(*cameras, strict=False))
+    return FrameSets(shots, max(map(len, cameras)) - len(shots), False)
 
 
 def count_people(cameras: Sequence[Sequence[Shot]]) -> Counter[int]:
     """Returns in how many pictures each person is annotated, by number."""
     return Counter(number for shots in cameras for shot in shots for number in shot.people)
-
-
-def camera_moves(views: Sequence[Any]) -> bool:
-    """Returns whether extrinsics, checked before, `[3, 4]` or `[4, 4]`, are not the same in all frames."""
-    numbers = np.stack([np.asarray(view, dtype=np.float64).reshape(-1)[:12] for view in views])
-    return bool(np.ptp(numbers, axis=0).max() > SAME_VIEW)
 
 
 def distance(a: Person, b: Person) -> float | None:
@@ -262,7 +250,8 @@ def find_sequence(folder: Path, sequence: str) -> Found:
     camera, clip = _CAMERA.match(sequence), _CLIP.match(sequence)
     wanted = {sequence, *(match[1] for match in (camera, clip) if match)}
     names: list[str] = []
-    for file in annotation_files(folder):
+    files = annotation_files(folder)
+    for file in files:
         by_name = {found.name: found for found in _all(file, wanted)}
         if sequence in by_name:
             return _complete(by_name[sequence])
@@ -276,7 +265,8 @@ def find_sequence(folder: Path, sequence: str) -> Found:
             )
         names += by_name
     if not names:
-        raise DataError(f"{folder / 'annot'}: holds neither train.pkl nor test.pkl.")
+        lacks = "no sequence in its annotations" if files else "neither train.pkl nor test.pkl"
+        raise DataError(f"{folder / 'annot'}: holds {lacks}.")
     raise ConfigError(
         f"dataset.scene={sequence!r}: the annotations in {folder / 'annot'} have {', '.join(names)[:400]}; one camera "
         f"alone is called as {names[0]}_02."

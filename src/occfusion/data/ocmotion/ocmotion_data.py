@@ -49,7 +49,6 @@ class OcMotionDataModule(HumanDataModule):
         layout: str = "auto",
         protocol: str = "paper",
         seed: int = 0,
-        cache_megabytes: float = 200.0,
     ) -> None:
         """Keeps the settings; nothing is read before `setup` or `validate`.
 
@@ -72,7 +71,6 @@ class OcMotionDataModule(HumanDataModule):
             layout: `w2a`, `chomp`, or `auto` to look.
             protocol: `paper`, `wild2avatar` or `occnerf`: frames and size.
             seed: of the order of training frames.
-            cache_megabytes: how much memory decoded training frames may take.
 
         Raises:
             ConfigError: a setting is out of its range.
@@ -82,7 +80,7 @@ class OcMotionDataModule(HumanDataModule):
         frames = self._protocol.frames if train_frames is None else train_frames
         held_out = self._protocol.frames if test_frames is None else test_frames
         selection = Selection(train_camera, test_cameras, frames, held_out)
-        super().__init__(body, selection, image_size, occlusion, seed, cache_megabytes)
+        super().__init__(body, selection, image_size, occlusion, seed)
         if not root or not scene:
             raise ConfigError("dataset.root and dataset.scene must name a folder and a sequence in it.")
         if layout not in ("auto", *OCMOTION):

@@ -25,12 +25,6 @@ FAR_OFF = 0.05
 """Of the person's height in pixels: 8 cm. The key points of LSP lie 2 to 3 cm from SMPL's joints."""
 
 
-def evenly(frames: Sequence[int], count: int = COMPARED_FRAMES) -> list[int]:
-    """Returns a few of the frames, evenly spread."""
-    chosen = np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)
-    return [frames[k] for k in sorted(set(chosen.tolist()))] if frames else []
-
-
 def limb_distances(keypoints: Any, joints: Array, camera: Calibration, where: str) -> tuple[Array, float]:
     """Returns distances in pixels of limbs from LSP's key points, and the height of the projected joints.
 

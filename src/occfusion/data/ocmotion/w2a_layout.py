@@ -24,11 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from occfusion.data.cameras import OPENCV_CENTRE, FixedCamera
+from occfusion.data.cameras import FixedCamera
 from occfusion.data.checking import checks
 from occfusion.data.folder_contents import (
     SUFFIXES,
     entry,
+    load_table,
     natural,
     need,
     partners,
@@ -36,13 +37,12 @@ from occfusion.data.folder_contents import (
     require_same,
     table,
 )
-from occfusion.data.ocmotion.ocmotion_annotations import camera_moves
-from occfusion.data.ocmotion.ocmotion_joints import Posing, evenly
+from occfusion.data.ocmotion.ocmotion_joints import COMPARED_FRAMES, Posing
 from occfusion.data.posing import joints_remark
+from occfusion.data.sampling import evenly
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.errors import DataError
 from occfusion.files.jsonfile import load_json
-from occfusion.files.unpickle import load_pickle
 
 METADATA = "metadata.json"
 MESHES = "mesh_infos.pkl"
@@ -94,35 +94,22 @@ class W2aScene(Scene):
         where = [self._where(frame) for frame in range(self.num_frames)]
         chosen = list(self._rows.values())
         self._has_trans = _all_or_none(chosen, "trans", where)
-        views = [need(row, "cam_extrinsics", at) for row, at in zip(chosen, where, strict=True)]
-        self._camera = FixedCamera(
-            "camera",
-            [need(row, "cam_intrinsics", at) for row, at in zip(chosen, where, strict=True)],
-            views,
-            None,
-            where,
-            OPENCV_CENTRE,
+        self._camera = FixedCamera.of_rows("camera", chosen, where, ("cam_intrinsics", "cam_extrinsics"))
+        meshes = folder / MESHES
+        self._meshes: Mapping[str, Any] = load_table(meshes) if meshes.is_file() else {}
+        place = (
+            " + trans" if self._has_trans else "; there is no trans, so that the person stands at the origin"
         )
-        self._meshes = self._read_meshes()
+        values = "every value but 0 (of a JPEG with soft edges: from 128 on)"
+        values = values if person is None else f"value {person}"
+        moves = "moves, which is carried over to the person" if self._camera.moves else "stands still"
         self.taken = Taken(
             layout="OcMotion as Wild2Avatar cut it (w2a)",
             pictures=_pictures_in_words(self.num_frames, len(rows), spare_masks, masks),
-            body=f"{METADATA}: SMPL(poses, betas)"
-            + (
-                " + trans"
-                if self._has_trans
-                else "; there is no trans, so that the person stands at the origin"
-            )
-            + ", the root's rotation in poses[:3]",
+            body=f"{METADATA}: SMPL(poses, betas){place}, the root's rotation in poses[:3]",
             shape=f"betas of {METADATA}, {_shapes_in_words(chosen)}",
-            masks=f"{masks}/, "
-            + (
-                "every value but 0 (of a JPEG with soft edges: from 128 on)"
-                if person is None
-                else f"value {person}"
-            ),
-            cameras=f"{METADATA}: cam_intrinsics and cam_extrinsics; the camera "
-            + ("moves, which is carried over to the person" if camera_moves(views) else "stands still"),
+            masks=f"{masks}/, {values}",
+            cameras=f"{METADATA}: cam_intrinsics and cam_extrinsics; the camera {moves}",
             centres="0 (OpenCV)",
             others=_others(folder, masks),
         )
@@ -156,7 +143,7 @@ class W2aScene(Scene):
         remarks: list[str] = []
         known = [frame for frame, name in enumerate(self._names) if name in self._meshes]
         turned: list[str] = []
-        for frame in evenly(known):
+        for frame in evenly(known, COMPARED_FRAMES):
             name = self._names[frame]
             row, where, body = entry(self._meshes, name, path), f"{path}, {name}", self._own_parameters(frame)
             if "tpose_joints" in row:
@@ -182,10 +169,6 @@ class W2aScene(Scene):
         betas = checks.shape_numbers(need(row, "betas", where), f"{where}, betas")
         transl = checks.numbers(row["trans"] if self._has_trans else np.zeros(3), 3, f"{where}, trans")
         return BodyParameters(betas, poses[:3], poses[3:], transl)
-
-    def _read_meshes(self) -> Mapping[str, Any]:
-        path = self.root / MESHES
-        return table(load_pickle(path), path) if path.is_file() else {}
 
     def _where(self, frame: int) -> str:
         return f"{self._file}, {self._names[frame]}"

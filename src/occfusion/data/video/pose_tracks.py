@@ -40,36 +40,6 @@ _COMPARED_ROWS = 64
 _TINY = 1e-9
 
 
-@dataclass(frozen=True)
-class Nearest:
-    """The best range of each step.
-
-    Attributes:
-        by_step: smallest distance of a range with this step.
-    """
-
-    by_step: dict[int, float]
-
-    @property
-    def best(self) -> float:
-        """The smallest distance of all; infinite where nothing could be compared."""
-        return min(self.by_step.values(), default=np.inf)
-
-    def agrees(self, table: Array, asked: range) -> bool:
-        """Whether no other range is clearly nearer."""
-        return not self.by_step or _mean(table, asked) <= NEAR * self.best + _TINY
-
-    def from_the_first(self, table: Array) -> range | None:
-        """Returns the range from picture 0 on, where it is the one near and all other steps are far; else None."""
-        if not self.by_step:
-            return None
-        step = min(self.by_step, key=lambda k: self.by_step[k])
-        others = [far for other, far in self.by_step.items() if other != step]
-        asked = range(0, step * (len(table) - 1) + 1, step)
-        alone = all(far >= FAR * self.best + _TINY for far in others)
-        return asked if alone and self.agrees(table, asked) else None
-
-
 def distances(track: Motion, every: Motion) -> Array:
     """Returns the mean squared distance between the joints' rotations, `[rows, pictures]`.
 
@@ -82,16 +52,36 @@ def distances(track: Motion, every: Motion) -> Array:
     return np.asarray(np.maximum(squared, 0.0) / a.shape[1])
 
 
-def nearest(table: Array) -> Nearest:
-    """Returns the smallest mean distance of each step, of a table as `distances` gives it."""
+def _nearest(table: Array) -> dict[int, float]:
+    """Returns the smallest mean distance of each step, of a table as `distances` gives it; empty for a short track."""
     rows, pictures = table.shape
-    found: dict[int, float] = {}
-    if rows >= MIN_ROWS and np.isfinite(table).all():
-        compared = _compared(rows)
-        for step in possible_steps(rows, pictures):
-            starts = np.arange(pictures - step * (rows - 1))[:, None]
-            found[step] = float(table[compared, starts + step * compared].mean(axis=1).min())
-    return Nearest(found)
+    if rows < MIN_ROWS or not np.isfinite(table).all():
+        return {}
+    compared, found = _compared(rows), {}
+    for step in possible_steps(rows, pictures):
+        starts = np.arange(pictures - step * (rows - 1))[:, None]
+        found[step] = float(table[compared, starts + step * compared].mean(axis=1).min())
+    return found
+
+
+def _agrees(table: Array, by_step: Mapping[int, float], asked: range) -> bool:
+    """Whether no other range is clearly nearer than one."""
+    if not by_step:
+        return True
+    rows = _compared(len(table))
+    mean = float(table[rows, asked.start + asked.step * rows].mean())
+    return mean <= NEAR * min(by_step.values()) + _TINY
+
+
+def _from_picture_0(table: Array) -> range | None:
+    """Returns the range from picture 0 on, where it is the one near and all other steps are far; else None."""
+    by_step = _nearest(table)
+    if not by_step:
+        return None
+    step = min(by_step, key=lambda k: by_step[k])
+    asked = range(0, step * (len(table) - 1) + 1, step)
+    alone = all(far >= FAR * by_step[step] + _TINY for other, far in by_step.items() if other != step)
+    return asked if alone and _agrees(table, by_step, asked) else None
 
 
 def possible_steps(rows: int, pictures: int) -> range:
@@ -101,11 +91,6 @@ def possible_steps(rows: int, pictures: int) -> range:
 
 def _compared(rows: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, rows - 1, _COMPARED_ROWS).round()).astype(np.int64)
-
-
-def _mean(table: Array, asked: range) -> float:
-    rows = _compared(len(table))
-    return float(table[rows, asked.start + asked.step * rows].mean())
 
 
 def _rotations(motion: Motion) -> Array:
@@ -158,21 +143,15 @@ class Tracks:
         return dict(sorted(found.items()))
 
 
-class _First:
-    """The first estimate of all pictures, read when a track has to be compared with it."""
-
-    def __init__(self, path: Path, pictures: int) -> None:
-        self._path, self._pictures = path, pictures
-
-    def distances(self, track: Motion) -> Array | None:
-        """Returns the distances from a track's rows to all pictures, None where there is nothing to compare."""
-        if not self._path.is_file():
-            return None
-        try:
-            every = load_motion(self._path)
-        except DataError:  # it is not what is read: without it, the range has to be given
-            return None
-        return distances(track, every) if len(every) == self._pictures else None
+def _from_first(track: Motion, first: Path, pictures: int) -> Array | None:
+    """Returns the distances from a track's rows to the first estimate of all pictures, None where there is none."""
+    if not first.is_file():
+        return None
+    try:
+        every = load_motion(first)
+    except DataError:  # it is not what is read: without it, the range has to be given
+        return None
+    return distances(track, every) if len(every) == pictures else None
 
 
 def pose_files(folder: Path) -> list[str]:
@@ -204,13 +183,12 @@ def open_tracks(
         )
     wanted = [str(chosen)] if chosen is not None else _by_default(there)
     given = _given(ranges, wanted, pictures)
-    first = _First(folder / FIRST, pictures)
     read: list[Track] = []
     others = [f"{name} (dataset.poses={name} reads it)" for name in there if name not in wanted]
     for name, asked in zip(wanted, given, strict=True):
         motion = load_motion(folder / name)
         try:
-            covered, known_by = _covered(motion, name, pictures, asked, folder.name, first)
+            covered, known_by = _covered(motion, name, pictures, asked, folder)
         except DataError as error:
             if not read:  # the first file is the scene; those of held-out pictures only add to it
                 raise
@@ -262,10 +240,10 @@ def _range(part: object, ranges: object, pictures: int) -> range:
 
 
 def _covered(
-    motion: Motion, name: str, pictures: int, asked: range | None, subject: str, first: _First
+    motion: Motion, name: str, pictures: int, asked: range | None, folder: Path
 ) -> tuple[range, str]:
     """Returns the pictures of a file's rows, and how that is known."""
-    rows, where = len(motion), str(motion.path)
+    rows, where, subject = len(motion), str(motion.path), folder.name
     if asked is not None:
         if len(asked) != rows:
             raise ConfigError(
@@ -279,15 +257,15 @@ def _covered(
         raise DataError(
             f"{where} has {rows} rows, but there are {pictures} pictures, one row for each; complete the pictures."
         )
-    table = None if name == FIRST else first.distances(motion)
+    table = None if name == FIRST else _from_first(motion, folder / FIRST, pictures)
     known = _of_settings(name, subject)
     if known is not None and len(known) == rows and known[-1] < pictures:
-        if table is not None and not nearest(table).agrees(table, known):
+        if table is not None and not _agrees(table, _nearest(table), known):
             raise DataError(
                 _unknown(where, rows, pictures, "its poses are nearer to those of other pictures")
             )
         return known, f"InstantAvatar's settings for {subject}"
-    found = None if table is None else nearest(table).from_the_first(table)
+    found = None if table is None else _from_picture_0(table)
     if found is not None:
         return found, f"nearness to {FIRST}"
     raise DataError(_unknown(where, rows, pictures, "which ones cannot be told from the files"))

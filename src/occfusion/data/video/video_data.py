@@ -44,7 +44,6 @@ class VideoDataModule(HumanDataModule):
         pixel_centres: str | float = AUTO,
         layout: str = AUTO,
         seed: int = 0,
-        cache_megabytes: float = 200.0,
     ) -> None:
         """Keeps the settings; nothing is read before `setup` or `validate`.
 
@@ -70,7 +69,6 @@ class VideoDataModule(HumanDataModule):
             pixel_centres: where the middle of the first pixel is for the stored principal points: 0, 0.5 or `auto`.
             layout: `video`, for a folder that has another layout too, or `auto` to look.
             seed: of the order of training frames.
-            cache_megabytes: how much memory decoded training frames may take.
 
         Raises:
             ConfigError: a setting is out of its range.
@@ -83,7 +81,7 @@ class VideoDataModule(HumanDataModule):
             test_cameras = [0]
         frames = (0, None, 1) if train_frames is None and self._ranges is None else train_frames
         selection = Selection(train_camera, test_cameras, frames, test_frames)
-        super().__init__(body, selection, image_size, occlusion, seed, cache_megabytes)
+        super().__init__(body, selection, image_size, occlusion, seed)
         self._masks, self._person, self._is_occluded = masks, person, occluded
         self._poses, self._track_frames, self._betas = poses, track_frames, betas
         self._pixel_centres, self._layout = pixel_centres, layout

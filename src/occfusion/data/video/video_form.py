@@ -19,7 +19,7 @@ from occfusion.data.folder_contents import last_number, partners
 from occfusion.data.video.pose_table import THETAS
 from occfusion.data.video.pose_tracks import FIRST, Tracks, pose_files
 from occfusion.errors import ConfigError, DataError
-from occfusion.files.maskarray import SUFFIX
+from occfusion.files.images import MASK_ARRAY
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,8 @@ def pair(names: Sequence[str], masks: Mapping[str, Path], folder: Path, *, compl
         DataError: something that must have a partner has none.
     """
     if complete:
-        return Pairs(
-            list(names), dict(zip(names, partners(names, dict(masks), folder), strict=True)), len(names), 0
-        )
+        own = zip(names, partners(names, dict(masks), folder), strict=True)
+        return Pairs(list(names), dict(own), len(names), 0)
     by_number = {last_number(name): path for name, path in masks.items()}
     same = all(name in masks for name in names)
     chosen = {name: masks.get(name) if same else by_number.get(last_number(name)) for name in names}
@@ -107,7 +106,7 @@ class Form:
 def instantavatar_marks(folder: Path, masks: Mapping[str, Path]) -> tuple[str, ...]:
     """Returns what shows that InstantAvatar's scripts wrote a folder, in words."""
     marks = []
-    if any(path.suffix.lower() == SUFFIX for path in masks.values()):
+    if any(path.suffix.lower() == MASK_ARRAY for path in masks.values()):
         marks.append("masks are arrays")
     marks += [name for name in pose_files(folder) if name != FIRST][:1]
     return tuple(marks)
@@ -137,19 +136,15 @@ def find_form(
             raise ConfigError(f"dataset.pixel_centres={asked!r}: choose {AUTO}, {WHOLE:g} or {OURS:g}.")
         centre, why = float(str(asked)), "dataset.pixel_centres"
     elif CENTRES in camera:
-        centre, why = (
-            float(checks.numbers(camera[CENTRES], 1, f"{file}, {CENTRES}")[0]),
-            f"{file.name} says so",
-        )
+        why = f"{file.name} says so"
+        centre = float(checks.numbers(camera[CENTRES], 1, f"{file}, {CENTRES}")[0])
         if centre not in (WHOLE, OURS):
             raise DataError(f"{file}, {CENTRES} is {centre:g}; it must be {WHOLE:g} or {OURS:g}.")
     elif marks:
         centre, why = WHOLE, f"InstantAvatar's: {', '.join(marks)}"
     else:
-        centre, why = (
-            OURS,
-            f"no mark of InstantAvatar's scripts; dataset.pixel_centres={WHOLE:g} if it is theirs",
-        )
+        why = f"no mark of InstantAvatar's scripts; dataset.pixel_centres={WHOLE:g} if it is theirs"
+        centre = OURS
     return Form(marks, OURS - centre, f"the middle of the first pixel is {centre:g} ({why})", assumed)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,59 +17,10 @@ from occfusion.data.video.video_form import AUTO, CENTRES, Form, Pairs, find_for
 from occfusion.data.video.video_shape import BetasSetting, choose_betas
 from occfusion.errors import DataError
 from occfusion.files.arrays import load_npz
-from occfusion.files.images import image_size
-from occfusion.files.maskarray import SUFFIX
+from occfusion.files.images import MASK_ARRAY, image_size
 
 
-def account(
-    folder: Path,
-    pairs: Pairs,
-    used: Sequence[int],
-    tracks: Tracks,
-    form: Form,
-    masks: str,
-    person: int | None,
-    *,
-    shapes: Sequence[str],
-    moving: bool,
-) -> Taken:
-    """Returns what was taken of a folder.
-
-    Args:
-        folder: the sequence's folder.
-        pairs: its pictures and masks.
-        used: the pictures that are frames.
-        tracks: its pose files.
-        form: whose program wrote it.
-        masks: name of the mask folder.
-        person: the value of the wanted person in the masks.
-        shapes: where each pose file's shape comes from.
-        moving: the camera is given for each picture.
-    """
-    without_pose = len(pairs.masks) - len(used)
-    lost = [f"{pairs.unmasked} dropped for want of a mask"] if pairs.unmasked else []
-    lost += [f"{without_pose} dropped because no pose track covers them"] if without_pose else []
-    left_out = sorted({track.motion.left_out for track in tracks.read if track.motion.left_out})
-    suffix = next(iter(pairs.masks.values())).suffix
-    values = "every value but 0" if person is None else f"value {person} (dataset.person)"
-    folders = [path.name for path in sorted(folder.glob("masks*")) if path.is_dir() and path.name != masks]
-    others = [*tracks.others, *(f"{name}/ (dataset.masks={name} reads it)" for name in folders)]
-    others += [f"{pairs.lone_masks} masks that belong to no picture"] if pairs.lone_masks else []
-    return Taken(
-        layout="video" + (", as InstantAvatar's scripts write it" if form.marks else ""),
-        pictures=f"images/, {len(used)} of {pairs.pictures}" + "".join(f"; {text}" for text in lost),
-        body="; ".join(map(_said, tracks.read)) + "".join(f"; left out: {text}" for text in left_out),
-        shape="; ".join(dict.fromkeys(shapes)),
-        masks=f"{masks}/, {suffix} files; the person is {values}",
-        cameras="cameras.npz, "
-        + ("given for each picture" if moving else "one that stands still")
-        + (", the one that ROMP assumes for every video" if form.assumed_camera else ""),
-        centres=form.centres,
-        others="; ".join(others),
-    )
-
-
-def remarks(cameras: Path, form: Form, tracks: Tracks) -> tuple[str, ...]:
+def _remarks(cameras: Path, form: Form, tracks: Tracks) -> tuple[str, ...]:
     """Returns what is doubtful: poses fitted under one camera beside another program's."""
     fitted = [track.name for track in tracks.read if "anim_nerf" in track.name]
     if not (form.assumed_camera and fitted):
@@ -135,7 +86,7 @@ class VideoScene(Scene):
         self.name, self.root, self.cameras = folder.name, folder, ("camera",)
         self._pelvis, self._person, self._occluded = pelvis, person, occluded
         images = pictures_in(folder / "images")
-        mask_files = pictures_in(folder / masks, MASK_SUFFIXES, prefer=SUFFIX)
+        mask_files = pictures_in(folder / masks, MASK_SUFFIXES, prefer=MASK_ARRAY)
         marks = instantavatar_marks(folder, mask_files)
         pairs = pair(list(images), mask_files, folder / masks, complete=not marks)
         tracks = open_tracks(folder, len(pairs.names), poses, track_frames)
@@ -153,14 +104,12 @@ class VideoScene(Scene):
         content = load_npz(folder / CAMERAS, _CAMERA_KEYS)
         form = find_form(marks, tracks, content, pixel_centres, folder / CAMERAS)
         self._camera = self._read_camera(content, len(pairs.names), form.shift)
-        self.remarks = remarks(folder / CAMERAS, form, tracks)
+        self.remarks = _remarks(folder / CAMERAS, form, tracks)
         moving = any(
             np.ndim(content[key]) == 3 and len(content[key]) > 1 for key in ("intrinsic", "extrinsic")
         )
-        self.taken = account(
-            folder, pairs, self.pictures, tracks, form, masks, person,
-            shapes=[said for _, said in shapes.values()], moving=moving,
-        )  # fmt: skip
+        said = (text for _, text in shapes.values())
+        self.taken = self._account(pairs, tracks, form, masks, shapes=said, moving=moving)
 
     def calibration(self, camera: int) -> Calibration:
         """Returns the one camera there is."""
@@ -189,6 +138,34 @@ class VideoScene(Scene):
     def evidence(self, frame: int) -> tuple[Path, ...]:
         """Returns the camera's file and that of the frame's pose."""
         return self.root / CAMERAS, self.root / self._rows[frame][0].name
+
+    def _account(
+        self, pairs: Pairs, tracks: Tracks, form: Form, masks: str, *, shapes: Iterable[str], moving: bool
+    ) -> Taken:
+        without_pose = len(pairs.masks) - self.num_frames
+        lost = [f"{pairs.unmasked} dropped for want of a mask"] if pairs.unmasked else []
+        lost += [f"{without_pose} dropped because no pose track covers them"] if without_pose else []
+        left_out = sorted({track.motion.left_out for track in tracks.read if track.motion.left_out})
+        suffix = next(iter(pairs.masks.values())).suffix
+        values = "every value but 0" if self._person is None else f"value {self._person} (dataset.person)"
+        folders = [
+            path.name for path in sorted(self.root.glob("masks*")) if path.is_dir() and path.name != masks
+        ]
+        others = [*tracks.others, *(f"{name}/ (dataset.masks={name} reads it)" for name in folders)]
+        others += [f"{pairs.lone_masks} masks that belong to no picture"] if pairs.lone_masks else []
+        return Taken(
+            layout="video" + (", as InstantAvatar's scripts write it" if form.marks else ""),
+            pictures=f"images/, {self.num_frames} of {pairs.pictures}"
+            + "".join(f"; {text}" for text in lost),
+            body="; ".join(map(_said, tracks.read)) + "".join(f"; left out: {text}" for text in left_out),
+            shape="; ".join(dict.fromkeys(shapes)),
+            masks=f"{masks}/, {suffix} files; the person is {values}",
+            cameras="cameras.npz, "
+            + ("given for each picture" if moving else "one that stands still")
+            + (", the one that ROMP assumes for every video" if form.assumed_camera else ""),
+            centres=form.centres,
+            others="; ".join(others),
+        )
 
     def _read_camera(self, content: dict[str, np.ndarray], pictures: int, shift: float) -> FixedCamera:
         file = self.root / CAMERAS

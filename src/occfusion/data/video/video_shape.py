@@ -66,10 +66,8 @@ def _cut(betas: Array, count: int | None, where: str, name: str) -> tuple[Array,
     if count is None:
         used = np.flatnonzero((betas != 0).any(axis=0))  # coefficients of 0 change no body
         count = min(max(int(used[-1]) + 1 if len(used) else 0, USUAL_BETAS), there)
-        said = f"betas of {name}, {count}, {each}" + (
-            f"; the other {there - count} are 0" if count < there else ""
-        )
-        return betas[:, :count], said
+        rest_is_0 = f"; the other {there - count} are 0" if count < there else ""
+        return betas[:, :count], f"betas of {name}, {count}, {each}{rest_is_0}"
     if isinstance(count, bool) or not 1 <= count <= there:
         raise ConfigError(f"dataset.betas={count!r}: {where} are {there}; choose 1 to {there}, or {ZEROS}.")
     rest = float(np.abs(betas[:, count:]).max(initial=0.0))
@@ -97,9 +95,8 @@ def _as_asked(setting: str | Sequence[float], folder: Path) -> tuple[Array, str]
             raise DataError(
                 f"{path}, betas has shape {np.shape(value)}, expected (1, 10): one person, one shape."
             )
-        return checks.shape_numbers(value, f"{path}, betas")[
-            None
-        ], f"betas of {path.name}, as dataset.betas says"
+        betas = checks.shape_numbers(value, f"{path}, betas")
+        return betas[None], f"betas of {path.name}, as dataset.betas says"
     if not isinstance(setting, Sequence) or any(isinstance(b, (bool, str)) for b in setting):
         raise ConfigError(f"dataset.betas={setting!r}: give a count, numbers, a file, {ZEROS} or null.")
     return checks.shape_numbers(list(setting), "dataset.betas")[None], "dataset.betas"

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from occfusion.data.body_convention import easymocap_to_smplx, turned_about
-from occfusion.data.cameras import OPENCV_CENTRE, FixedCamera
+from occfusion.data.cameras import FixedCamera
 from occfusion.data.checking import checks
 from occfusion.data.folder_contents import (
     entry,
@@ -39,12 +39,13 @@ from occfusion.data.folder_contents import (
     strays,
 )
 from occfusion.data.layouts import HELD_OUT, held_out_of
-from occfusion.data.posing import AtRest, joints_remark, shape_from_joints
+from occfusion.data.posing import Poser, joints_remark, shape_from_joints
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.errors import DataError
 
 _NAME = re.compile(r"camera_(\d{1,12})_frame_(\d{1,12})\Z")
 _FRAME = re.compile(r"frame_(\d{1,12})\Z")
+_CAMERA_KEYS = ("intrinsics", "extrinsics"), "distortions"
 
 SAME_BODY = 1e-5
 """Largest difference of `Rh`, `Th` and `poses` (radians, metres) between two tables made of the same files."""
@@ -82,9 +83,8 @@ class HeldOut:
         numbers = {int(m[1]): frame for frame, name in enumerate(frames) if (m := _FRAME.match(name))}
         self._views = {}
         for name in sorted(rows, key=natural):
-            camera, moment = _parts(name)
-            if moment in numbers:
-                self._views[numbers[moment], camera] = name
+            if (match := _NAME.match(name)) and (moment := int(match[2])) in numbers:
+                self._views[numbers[moment], int(match[1])] = name
         self.dropped = len(rows) - len(self._views)
         if not self._views:
             raise DataError(
@@ -138,14 +138,7 @@ class HeldOut:
         names = [name for (_, number), name in self._views.items() if number == camera]
         chosen = [entry(rows, name, self.evidence[0]) for name in names]
         where = [f"{self.evidence[0]}, {name}" for name in names]
-        found = FixedCamera(
-            f"camera_{camera:02d}",
-            [need(row, "intrinsics", at) for row, at in zip(chosen, where, strict=True)],
-            [need(row, "extrinsics", at) for row, at in zip(chosen, where, strict=True)],
-            [row.get("distortions", np.zeros(5)) for row in chosen],
-            where,
-            OPENCV_CENTRE,
-        )
+        found = FixedCamera.of_rows(f"camera_{camera:02d}", chosen, where, *_CAMERA_KEYS)
         if found.moves:
             raise DataError(
                 f"{where[0]}: the camera moves from frame to frame; a held-out camera must stand still."
@@ -190,12 +183,6 @@ def refuse_held_out_alone(folder: Path, rows: Mapping[str, Any]) -> None:
     )
 
 
-def _parts(name: str) -> tuple[int, int]:
-    match = _NAME.match(name)
-    assert match is not None  # all names were looked at
-    return int(match[1]), int(match[2])
-
-
 CAMERAS, MESHES, JOINTS = "cameras.pkl", "mesh_infos.pkl", "canonical_joints.pkl"
 
 _KEYS = {"poses": 72, "Rh": 3, "Th": 3}
@@ -204,7 +191,7 @@ _KEYS = {"poses": 72, "Rh": 3, "Th": 3}
 class HumanNerfScene(Scene):
     """A sequence in HumanNeRF's form, with OccNeRF's held-out cameras where they lie beside it."""
 
-    def __init__(self, folder: Path, body: AtRest, masks: str = "masks") -> None:
+    def __init__(self, folder: Path, body: Poser, masks: str = "masks") -> None:
         """Reads the tables and lists the pictures.
 
         Args:
@@ -234,23 +221,13 @@ class HumanNerfScene(Scene):
         found = pngs_in(folder / masks)
         self._masks = partners(self._names, found, folder / masks, more=True)
         self.num_frames = len(self._names)
-        self._camera = self._read_camera([entry(cameras, name, self._cameras_file) for name in self._names])
+        where = [f"{self._cameras_file}, {name}" for name in self._names]
+        rows = [entry(cameras, name, self._cameras_file) for name in self._names]
+        self._camera = FixedCamera.of_rows("camera", rows, where, *_CAMERA_KEYS, may_zoom=True)
         self._held_out = HeldOut.beside(folder, self._names, self._meshes, still=not self._camera.moves)
         self.cameras = ("camera", *(self._held_out.cameras if self._held_out else ()))
         self.zooms = self._camera.zooms
         self.taken = self._taken(len(images), len(cameras), masks)
-
-    def _read_camera(self, rows: list[Mapping[str, Any]]) -> FixedCamera:
-        where = [f"{self._cameras_file}, {name}" for name in self._names]
-        return FixedCamera(
-            "camera",
-            [need(row, "intrinsics", at) for row, at in zip(rows, where, strict=True)],
-            [need(row, "extrinsics", at) for row, at in zip(rows, where, strict=True)],
-            [row.get("distortions", np.zeros(5)) for row in rows],
-            where,
-            OPENCV_CENTRE,
-            may_zoom=True,
-        )
 
     def calibration(self, camera: int) -> Calibration:
         """Returns the camera trained on, as it was at the first frame, or one that is held out."""
@@ -272,13 +249,10 @@ class HumanNerfScene(Scene):
         Raises:
             DataError: numbers are missing or cannot be, or the rest joints are of another body.
         """
-        name = self._names[frame]
-        where = f"{self._meshes_file}, {name}"
-        row = entry(self._meshes, name, self._meshes_file)
+        row, rest, where = self._row(self._names[frame])
         values = {
             key: checks.numbers(need(row, key, where), size, f"{where}, {key}") for key, size in _KEYS.items()
         }
-        rest = _rest_joints(row, where)
         betas = self._betas(row, rest, where)
         self._joints_remark(rest, betas, where)
         pelvis, poses = self._body.pelvis(betas), values["poses"]
@@ -295,11 +269,17 @@ class HumanNerfScene(Scene):
             DataError: they are another body's.
         """
         for name in self._names:
-            row, where = entry(self._meshes, name, self._meshes_file), f"{self._meshes_file}, {name}"
-            rest = _rest_joints(row, where)
+            row, rest, where = self._row(name)
             if remark := self._joints_remark(rest, self._betas(row, rest, where), where):
                 return [remark]
         return []
+
+    def _row(self, name: str) -> tuple[Mapping[str, Any], Array | None, str]:
+        """Returns the body of a frame, its joints at rest where it has them, and what messages call it."""
+        row, where = entry(self._meshes, name, self._meshes_file), f"{self._meshes_file}, {name}"
+        if "tpose_joints" not in row:
+            return row, None, where
+        return row, checks.numbers(row["tpose_joints"], (24, 3), f"{where}, tpose_joints"), where
 
     def _joints_remark(self, rest: Array | None, betas: Array, where: str) -> str:
         """Returns what `joints_remark` says, of a body that does not stand in for the one of the tables."""
@@ -330,11 +310,7 @@ class HumanNerfScene(Scene):
         return self._cameras_file, self._meshes_file, *(self._held_out.evidence if self._held_out else ())
 
     def _taken(self, pictures: int, rows: int, masks: str) -> Taken:
-        row, where = (
-            entry(self._meshes, self._names[0], self._meshes_file),
-            f"{self._meshes_file}, {self._names[0]}",
-        )
-        rest = _rest_joints(row, where)
+        row, rest, _ = self._row(self._names[0])
         form = "turned about the origin, as in ZJU-MoCap"
         if rest is not None and not rest[0].any():
             form = "turned about the pelvis, as in other footage"
@@ -369,9 +345,3 @@ class HumanNerfScene(Scene):
             groups.append([f"../{eval_folder.name}"])
         listed = [f"{', '.join(group[:8])}{' ...' if len(group) > 8 else ''}" for group in groups if group]
         return f"not read: {', '.join(listed)}" if listed else ""
-
-
-def _rest_joints(row: Mapping[str, Any], where: str) -> Array | None:
-    if "tpose_joints" not in row:
-        return None
-    return checks.numbers(row["tpose_joints"], (24, 3), f"{where}, tpose_joints")

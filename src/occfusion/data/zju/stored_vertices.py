@@ -13,12 +13,12 @@ import numpy as np
 
 from occfusion.data.checking import checks
 from occfusion.data.posing import Poser, RestBody
+from occfusion.data.sampling import evenly
 from occfusion.data.scene import Array
 from occfusion.data.zju.zju_layout import ZjuScene
 from occfusion.errors import DataError
 from occfusion.files.arrays import load_npy
-from occfusion.human.body import Body
-from occfusion.human.unblended import without_pose_blend_shapes
+from occfusion.human.body import Body, without_pose_blend_shapes
 
 LIMIT = 0.005
 """Farthest that a vertex may be from where it is kept, metres. The right body by the right rule is off by 0.0005 mm
@@ -66,7 +66,7 @@ def compare_with_stored(scene: ZjuScene, body: RestBody) -> ZjuScene:
     posers, used = {WITHOUT: Poser(body)}, WITHOUT
     if isinstance(body, Body) and body.posedirs is not None:
         posers, used = {WITH: Poser(body), WITHOUT: Poser(without_pose_blend_shapes(body))}, WITH
-    kept = _spread([frame for frame in range(scene.num_frames) if _has(scene, frame, vertices=True)])
+    kept = evenly([frame for frame in range(scene.num_frames) if _has(scene, frame, vertices=True)], FRAMES)
     if not kept:
         if used == WITH and not scene.fit.blended:
             _remark_old_fit(scene, posers)
@@ -105,7 +105,9 @@ def compare_with_stored(scene: ZjuScene, body: RestBody) -> ZjuScene:
 
 
 def _remark_old_fit(scene: ZjuScene, posers: dict[str, Poser]) -> None:
-    frames = _spread([frame for frame in range(scene.num_frames) if _has(scene, frame, vertices=False)])
+    frames = evenly(
+        [frame for frame in range(scene.num_frames) if _has(scene, frame, vertices=False)], FRAMES
+    )
     if frames:
         both = {rule: _posed(scene, poser, frames) for rule, poser in posers.items()}
         _remark(
@@ -130,11 +132,6 @@ def _note(scene: ZjuScene, text: str) -> None:
 def _has(scene: ZjuScene, frame: int, *, vertices: bool) -> bool:
     files = (*scene.evidence(frame), *([scene.vertices_file(frame)] if vertices else []))
     return all(path.is_file() for path in files)
-
-
-def _spread(frames: list[int]) -> list[int]:
-    picked = np.linspace(0, len(frames) - 1, min(FRAMES, len(frames))).round().astype(int)
-    return [frames[k] for k in picked]
 
 
 def _stored(scene: ZjuScene, frame: int) -> Array:

@@ -38,7 +38,6 @@ class ZjuDataModule(HumanDataModule):
         protocol: str = "paper",
         fit: str = AUTO_FIT,
         seed: int = 0,
-        cache_megabytes: float = 200.0,
     ) -> None:
         """Keeps the settings; nothing is read before `setup` or `validate`.
 
@@ -58,7 +57,6 @@ class ZjuDataModule(HumanDataModule):
             protocol: a name in `PRESETS`.
             fit: folder of the body parameters, `new_params`, `params` or `smpl_params`; `auto` takes the newest.
             seed: of the order of training frames.
-            cache_megabytes: how much memory decoded training frames may take.
 
         Raises:
             ConfigError: a setting is out of its range.
@@ -76,7 +74,7 @@ class ZjuDataModule(HumanDataModule):
         asked_occlusion = OcclusionSettings.parse(occlusion)
         hidden = place_strip(preset, folder.name, asked_occlusion, own_frames=train_frames is not None)
         size = preset.image_size if image_size is None else image_size
-        super().__init__(body, select(preset, folder.name, asked), size, hidden, seed, cache_megabytes)
+        super().__init__(body, select(preset, folder.name, asked), size, hidden, seed)
         self._fit = fit
         self._folder = folder
         self._masks = masks or ("masks" if alone else preset.masks)

@@ -99,21 +99,11 @@ FITS = {
 AUTO_FIT = "auto"
 
 
-@dataclass(frozen=True)
-class Release:
-    """Where a release keeps things.
+ORIGINAL_FITS = ("new_params", "params")
+"""Folders of body parameters in the original release; the first that exists is used, never a mixture."""
 
-    Attributes:
-        fits: folders of body parameters; the first that exists is used, never a mixture.
-        pictures: folder whose name the masks' folder replaces; empty where it is put in front.
-    """
-
-    fits: tuple[str, ...]
-    pictures: str = ""
-
-
-ORIGINAL = Release(("new_params", "params"))
-REFINED = Release(tuple(FITS), "images")
+PICTURES = "images"
+"""Folder of the refined release whose name that of the masks replaces; in the original it is put in front."""
 
 
 class ZjuScene(Scene):
@@ -154,7 +144,7 @@ class ZjuScene(Scene):
                 "as in mask+mask_cihp."
             )
         self._require_masks(masks)
-        self._release = REFINED if refined else ORIGINAL
+        self._refined = refined
         self.fit_name = self._find_fit(fit)
         self._annots = Annots(folder / "annots.npy")
         self.num_frames = len(self._annots.pictures)
@@ -172,9 +162,10 @@ class ZjuScene(Scene):
         return FITS[self.fit_name]
 
     def _find_fit(self, fit: str) -> str:
-        there = [name for name in self._release.fits if (self.root / name).is_dir()]
+        known = tuple(FITS) if self._refined else ORIGINAL_FITS
+        there = [name for name in known if (self.root / name).is_dir()]
         if fit == AUTO_FIT:
-            return (there or self._release.fits)[0]
+            return (there or known)[0]
         if fit not in FITS:
             raise ConfigError(f"dataset.fit={fit!r}: choose {AUTO_FIT}, {', '.join(FITS)}.")
         if fit not in there:
@@ -186,7 +177,7 @@ class ZjuScene(Scene):
 
     def _describe(self) -> Taken:
         stamped = _STAMPED.match(PurePosixPath(self._annots.pictures[0][0]).stem) is not None
-        release = "refined ZJU-MoCap" if self._release is REFINED else "original ZJU-MoCap"
+        release = "refined ZJU-MoCap" if self._refined else "original ZJU-MoCap"
         names = " (names with time stamps, as those of 313 and 315)" if stamped else ""
         embedded = "" if self.surface is None else "an embedded scene in the layout of "
         words = f", {self.fit.words}" if self.surface is None else ""
@@ -266,8 +257,8 @@ class ZjuScene(Scene):
 
     def _beside(self, folder: str, picture: PurePosixPath) -> Path:
         """Returns where `folder` keeps what belongs to a picture."""
-        if self._release.pictures and picture.parts[0] == self._release.pictures:
-            picture = picture.relative_to(self._release.pictures)
+        if self._refined and picture.parts[0] == PICTURES:
+            picture = picture.relative_to(PICTURES)
         return self.root / folder / picture
 
 

@@ -159,10 +159,8 @@ def describe(name: str) -> dict[str, str]:
     preset = find_protocol(PRESETS, name, "ZJU-MoCap")
     if preset.stretch is not None:
         stretch = ", ".join(f"{subject}: {count}" for subject, count in sorted(preset.stretch.items()))
-        train, test = (
-            f"every frame of the first ({stretch}; others: all)",
-            f"every {STRETCH_TEST_STEP}th of these",
-        )
+        train = f"every frame of the first ({stretch}; others: all)"
+        test = f"every {STRETCH_TEST_STEP}th of these"
     else:
         paper = (0, TRAIN_FRAMES * MAX_STEP, MAX_STEP), (0, TRAIN_FRAMES * MAX_STEP, TEST_EVERY * MAX_STEP)
         train, test = (

@@ -48,14 +48,13 @@ def clean_and_noise(noisy: Tensor, v: Tensor, t: Tensor) -> tuple[Tensor, Tensor
 
 
 @torch.no_grad()
-def sample(predict: Predictor, noise: Tensor, steps: int, *, eta: float = 0.0) -> Tensor:
-    """Returns a sample by DDIM (Song et al. 2021, eq. 12), clipped to [-1, 1].
+def sample(predict: Predictor, noise: Tensor, steps: int) -> Tensor:
+    """Returns a sample by DDIM (Song et al. 2021, eq. 12 with eta 0), clipped to [-1, 1]; noise alone decides it.
 
     Args:
         predict: the network with its conditions.
         noise: the start, standard normal, `[B, C, H, W]`.
         steps: evaluations of the network, at least 1.
-        eta: 0 deterministic in `noise`, 1 ancestral.
 
     Raises:
         ValueError: `steps` is below 1.
@@ -66,15 +65,10 @@ def sample(predict: Predictor, noise: Tensor, steps: int, *, eta: float = 0.0) -
     x = noise
     for now, after in pairwise(times):
         t = now.expand(noise.shape[0])
-        clean, residual = clean_and_noise(x, predict(x, t), t)
-        clean = clean.clamp(-1.0, 1.0)
+        clean = clean_and_noise(x, predict(x, t), t)[0].clamp(-1.0, 1.0)
         (alpha, sigma), (alpha_after, sigma_after) = alpha_sigma(now), alpha_sigma(after)
         # the clipped signal goes with the noise that would make x of it
-        residual = (x - alpha * clean) / sigma
-        spread = eta * sigma_after / sigma * (1.0 - (alpha / alpha_after) ** 2).clamp(min=0.0).sqrt()
-        x = alpha_after * clean + (sigma_after**2 - spread**2).clamp(min=0.0).sqrt() * residual
-        if eta > 0.0:
-            x = x + spread * torch.randn_like(x)
+        x = alpha_after * clean + sigma_after * ((x - alpha * clean) / sigma)
     return x.clamp(-1.0, 1.0)
 
 

@@ -36,8 +36,7 @@ class SilhouetteNet(nn.Module):
         c = conditions
         fine = torch.cat([noisy, c.visible, c.background, c.body], dim=1)
         fine = fine.contiguous(memory_format=torch.channels_last)
-        prediction: Tensor = self.net(fine, c.limbs, t)
-        return prediction
+        return self.net(fine, c.limbs, t)
 
     @torch.no_grad()
     def probability(self, conditions: Conditions, noise: Tensor) -> Tensor:

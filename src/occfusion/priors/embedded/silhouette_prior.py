@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -82,13 +83,9 @@ class EmbeddedMaskPrior(MaskPrior):
         noise = torch.randn(count, 1, self.size, self.size, generator=generator).to(self.device)
         if not settings.samples:
             return self.net.probability(conditions, noise)
-        expanded, noise = conditions.expand(count), noise.repeat(len(conditions), 1, 1, 1)
-
-        def predict(noisy: Tensor, t: Tensor) -> Tensor:
-            prediction: Tensor = self.net(noisy, t, expanded)
-            return prediction
-
-        silhouettes = (sample(predict, noise, settings.steps) > 0.0).to(noise.dtype)
+        predict = partial(self.net, conditions=conditions.expand(count))
+        samples = sample(predict, noise.repeat(len(conditions), 1, 1, 1), settings.steps)
+        silhouettes = (samples > 0.0).to(noise.dtype)
         return silhouettes.reshape(len(conditions), count, *noise.shape[1:]).mean(dim=1)
 
 

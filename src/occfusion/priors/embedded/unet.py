@@ -10,6 +10,8 @@ from torch import Tensor, nn
 
 TIME_FREQUENCIES = 16
 GROUPS = 8
+BLOCK = 4
+"""Pixels a side of the blocks that pictures enter as."""
 DETAIL_CHANNELS = 64
 
 
@@ -37,8 +39,8 @@ class ResidualBlock(nn.Module):
 class BlockUNet(nn.Module):
     """Predicts v from a noisy signal and its conditions.
 
-    Pictures enter as blocks of `block` x `block` pixels, each a vector (pixel unshuffle): the silhouette inside a
-    block is simple, and the network's cost falls by the square of `block`.
+    Pictures enter as blocks of `BLOCK` x `BLOCK` pixels, each a vector (pixel unshuffle): the silhouette inside a
+    block is simple, and the network's cost falls by the square of `BLOCK`.
 
     Args:
         channels_out: channels of the signal.
@@ -46,7 +48,6 @@ class BlockUNet(nn.Module):
         channels_coarse: channels of the conditions at the resolution of the blocks.
         widths: channels at each level, each a multiple of 8; a level has half the resolution of the one before.
         depth: residual blocks of each level below the first, on either side; the first has one on either side.
-        block: pixels a side of a block.
     """
 
     def __init__(
@@ -56,14 +57,11 @@ class BlockUNet(nn.Module):
         channels_coarse: int,
         widths: tuple[int, ...] = (48, 96, 160),
         depth: int = 2,
-        block: int = 4,
     ) -> None:
         super().__init__()
-        self.block = block
-        self.scale = block * 2 ** (len(widths) - 1)
         time_channels = 2 * widths[0]
         self.time = nn.Sequential(nn.Linear(2 * TIME_FREQUENCIES, time_channels), nn.SiLU())
-        self.enter = nn.Conv2d(channels_in * block**2 + channels_coarse, widths[0], 3, padding=1)
+        self.enter = nn.Conv2d(channels_in * BLOCK**2 + channels_coarse, widths[0], 3, padding=1)
         self.down, self.shrink = nn.ModuleList(), nn.ModuleList()
         self.up, self.grow = nn.ModuleList(), nn.ModuleList()
         for level, width in enumerate(widths):
@@ -75,27 +73,28 @@ class BlockUNet(nn.Module):
             if level + 1 < len(widths):
                 self.shrink.append(nn.Conv2d(width, widths[level + 1], 3, stride=2, padding=1))
                 self.grow.append(nn.Conv2d(widths[level + 1], width, 1))
-        self.leave = nn.Conv2d(widths[0], channels_out * block**2, 3, padding=1)
+        self.leave = nn.Conv2d(widths[0], channels_out * BLOCK**2, 3, padding=1)
         nn.init.zeros_(self.leave.weight)
         # single pixels do not fit through the first level's width: the last layers see the input once more
         self.detail = nn.Sequential(
-            nn.Conv2d(widths[0] + channels_in * block**2, DETAIL_CHANNELS, 3, padding=1),
+            nn.Conv2d(widths[0] + channels_in * BLOCK**2, DETAIL_CHANNELS, 3, padding=1),
             nn.SiLU(),
-            nn.Conv2d(DETAIL_CHANNELS, channels_out * block**2, 3, padding=1),
+            nn.Conv2d(DETAIL_CHANNELS, channels_out * BLOCK**2, 3, padding=1),
         )
         nn.init.zeros_(self.detail[-1].weight)  # type: ignore[arg-type]
 
-    def forward(self, fine: Tensor, coarse: Tensor, t: Tensor) -> Tensor:
+    def forward(self, fine: Tensor, coarse: Tensor | None, t: Tensor) -> Tensor:
         """Returns v, `[B, channels_out, S, S]`.
 
         Args:
-            fine: noisy signal and conditions, `[B, channels_in, S, S]`; S a multiple of `scale`.
-            coarse: `[B, channels_coarse, S / block, S / block]`.
+            fine: noisy signal and conditions, `[B, channels_in, S, S]`; S a multiple of `BLOCK`, and of 2 for
+                each further level.
+            coarse: `[B, channels_coarse, S / BLOCK, S / BLOCK]`; None where there are no such channels.
             t: diffusion time, `[B]`, 0..1.
         """
         time = self.time(_time_features(t))
-        blocks = F.pixel_unshuffle(fine, self.block)
-        x = self.enter(torch.cat([blocks, coarse], dim=1))
+        blocks = F.pixel_unshuffle(fine, BLOCK)
+        x = self.enter(blocks if coarse is None else torch.cat([blocks, coarse], dim=1))
         kept: list[Tensor] = []
         for level, layers in enumerate(self.down):
             for block in layers:  # type: ignore[attr-defined]
@@ -111,7 +110,7 @@ class BlockUNet(nn.Module):
                 x = F.interpolate(self.grow[level - 1](x), scale_factor=2.0, mode="nearest")
         x = F.silu(x)
         out = self.leave(x) + self.detail(torch.cat([x, blocks], dim=1))
-        return F.pixel_shuffle(out, self.block)
+        return F.pixel_shuffle(out, BLOCK)
 
 
 def _time_features(t: Tensor) -> Tensor:

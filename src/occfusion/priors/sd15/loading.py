@@ -131,11 +131,9 @@ def load_denoiser(model: Path, controlnet: Path, dtype: torch.dtype, prompts: tu
 
     with _quiet():
         control = _load(diffusers.ControlNetModel, SCORE_CONTROLNET, controlnet, dtype)
-        unet = _load(diffusers.UNet2DConditionModel, SCORE_MODEL, model, dtype, subfolder="unet")
-        vae = _load(diffusers.AutoencoderKL, SCORE_MODEL, model, torch.float32, subfolder="vae")
-        encoder = _load(
-            transformers.CLIPTextModel, SCORE_MODEL, model, torch.float32, subfolder="text_encoder"
-        )
+        unet = _load(diffusers.UNet2DConditionModel, SCORE_MODEL, model, dtype, "unet")
+        vae = _load(diffusers.AutoencoderKL, SCORE_MODEL, model, torch.float32, "vae")
+        encoder = _load(transformers.CLIPTextModel, SCORE_MODEL, model, torch.float32, "text_encoder")
         with _explained(SCORE_MODEL.setting, model):
             if unet.config.in_channels != 4:
                 raise ValueError(
@@ -149,13 +147,8 @@ def load_denoiser(model: Path, controlnet: Path, dtype: torch.dtype, prompts: tu
             )
             if schedule.config.prediction_type != "epsilon":
                 raise ValueError(f"it predicts {schedule.config.prediction_type}, not the noise")
-            length = tokenizer.model_max_length
-            options = {
-                "padding": "max_length",
-                "truncation": True,
-                "max_length": length,
-                "return_tensors": "pt",
-            }
+            options = {"padding": "max_length", "truncation": True, "return_tensors": "pt"}
+            options["max_length"] = tokenizer.model_max_length
             texts = tuple(encoder(tokenizer(prompt, **options).input_ids)[0].to(dtype) for prompt in prompts)
     for part in (unet, control, vae):
         part.requires_grad_(False)

@@ -25,8 +25,6 @@ from occfusion.priors.sd15.pipeline import (
 from occfusion.priors.sd15.region import Region, body_keypoints, body_region
 from occfusion.priors.sd15.settings import DTYPES, NO_EFFECT, Sd15Settings
 
-__all__ = ["Sd15MaskPrior", "Sd15Settings"]
-
 Picture = NDArray[np.float32]
 
 
@@ -131,9 +129,7 @@ class Sd15MaskPrior(MaskPrior):
             binarize=False,
         )
         scores = output.iou_scores[0, 0].float()
-        best = (
-            masks[0][0, int(scores.argmax())] + 0.0 * scores.sum().cpu()
-        )  # a score that is NaN is passed on
+        best = masks[0][0, int(scores.argmax())] + 0.0 * scores.sum().cpu()  # passes on a score that is NaN
         return np.asarray(torch.sigmoid(best), np.float32)
 
 

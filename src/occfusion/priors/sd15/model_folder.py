@@ -39,11 +39,11 @@ class ModelKind:
 
         The hub's `*` goes beyond a slash, so those at the root are named.
         """
-        paths = [Path(path) for path in (*sum(self.files, ()), *self.weights)]
-        found = [path.name for path in map(Path, sum(self.files, ())) if path.parent == Path()]
-        for stem in (path.name for path in map(Path, self.weights) if path.parent == Path()):
+        files = sum(self.files, ())
+        found = [name for name in files if "/" not in name]
+        for stem in (name for name in self.weights if "/" not in name):
             found += [f"{stem}*.safetensors", f"{stem}*.index.json"]
-        for folder in sorted({str(path.parent) for path in paths} - {"."}):
+        for folder in sorted({name.rpartition("/")[0] for name in (*files, *self.weights)} - {""}):
             found += [f"{folder}/*.{ending}" for ending in ("json", "txt", "safetensors")]
         return found
 

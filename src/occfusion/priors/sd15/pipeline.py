@@ -29,13 +29,12 @@ def resolve_placement(settings: Sd15Settings, default: torch.device | str) -> tu
     Raises:
         ConfigError: no such device, or an option that it does not have.
     """
-    device = resolve_device(settings.device, settings.dtype, default)
+    device, dtype = resolve_device(settings.device, settings.dtype, default)
     if settings.cpu_offload and device.type == "cpu":
         raise ConfigError(
             "setting prior.cpu_offload=true: nothing runs on a GPU, so there is nothing to offload"
         )
-    auto = "float32" if device.type == "cpu" else "float16"
-    return device, auto if settings.dtype == "auto" else settings.dtype
+    return device, dtype
 
 
 def find_inpainting(settings: Sd15Settings) -> Folders:

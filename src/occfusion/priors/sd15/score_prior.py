@@ -40,10 +40,8 @@ class Sd15Score(ScorePrior[Tensor]):
 
     def __init__(self, settings: Sd15ScoreSettings, device: torch.device | str = "cpu") -> None:
         self.settings = settings
-        self.device = resolve_device(settings.device, settings.dtype, device)
+        self.device, self.dtype = resolve_device(settings.device, settings.dtype, device)
         folders = find_score_models(settings)
-        auto = "float32" if self.device.type == "cpu" else "float16"
-        self.dtype = auto if settings.dtype == "auto" else settings.dtype
         kinds = (SCORE_MODEL, SCORE_CONTROLNET)
         self.hashes = [fingerprint(*pair) for pair in zip(folders, kinds, strict=True)]
         parts = load_denoiser(*folders, DTYPES[self.dtype], settings.prompts)
@@ -54,14 +52,14 @@ class Sd15Score(ScorePrior[Tensor]):
 
     def describe(self) -> dict[str, Any]:
         """Returns prompts, precision, and the hashes of the models."""
-        places = (
+        places = {
             "model",
             "controlnet",
             "model_revision",
             "controlnet_revision",
             "local_files_only",
             "device",
-        )
+        }
         own = {key: value for key, value in asdict(self.settings).items() if key not in places}
         hashes = dict(zip(("model_hash", "controlnet_hash"), self.hashes, strict=True))
         return {"prior": self.name, **own, "dtype": self.dtype, **hashes}

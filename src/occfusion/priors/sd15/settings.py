@@ -132,8 +132,8 @@ def fill_prompts(settings: Sd15Settings | Sd15ScoreModels, prompt: str, negative
             object.__setattr__(settings, name, text)
 
 
-def resolve_device(device: str | None, dtype: str, default: torch.device | str) -> torch.device:
-    """Returns where models run.
+def resolve_device(device: str | None, dtype: str, default: torch.device | str) -> tuple[torch.device, str]:
+    """Returns where models run and the name of their precision.
 
     Args:
         device: the setting `prior.device`.
@@ -151,4 +151,5 @@ def resolve_device(device: str | None, dtype: str, default: torch.device | str) 
         raise ConfigError(f"setting prior.device={device!r}: PyTorch finds no such GPU")
     if dtype == "float16" and found.type == "cpu":
         raise ConfigError("setting prior.dtype=float16 is for GPUs; on a CPU choose float32 or bfloat16")
-    return found
+    auto = "float32" if found.type == "cpu" else "float16"
+    return found, auto if dtype == "auto" else dtype

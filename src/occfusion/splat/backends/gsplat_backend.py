@@ -19,10 +19,10 @@ from torch import Tensor
 
 from occfusion.errors import ConfigError
 from occfusion.splat.backends import torch_backend
-from occfusion.splat.backends.layers import Layers
 from occfusion.splat.limits import DEFAULT_LIMITS
 from occfusion.splat.projection import project
 from occfusion.splat.request import Intrinsics, Request
+from occfusion.types import Rendering
 
 TILE = 16
 """Pixels; the only tile size that gsplat tests."""
@@ -47,7 +47,7 @@ def load_library() -> ModuleType:
         ) from error
 
 
-def render(request: Request) -> Layers:
+def render(request: Request) -> Rendering:
     """Returns the crop of the picture, blended by gsplat.
 
     Raises:
@@ -120,9 +120,7 @@ def _picture_and_gradients(backend: str, device: torch.device) -> dict[str, Tens
     inputs = {name: tensor.to(device).requires_grad_() for name, tensor in inputs.items()}
     request = Request(
         quats=None, scales=None, intrinsics=Intrinsics(60.0, 62.0, 29.0, 25.0), width=64, height=48,
-        crop=(5, 3, 50, 40), sh_degree=1, means=inputs["means"], covariances=inputs["covariances"],
-        opacities=inputs["opacities"], colors=inputs["colors"], viewmat=inputs["viewmat"],
-        screen_offsets=inputs["screen_offsets"],
+        crop=(5, 3, 50, 40), sh_degree=1, **inputs,  # type: ignore[arg-type]
     )  # fmt: skip
     layers = (render if backend == "gsplat" else torch_backend.render)(request)
     pictures = {"rgb": layers.rgb, "alpha": layers.alpha, "depth": layers.depth}

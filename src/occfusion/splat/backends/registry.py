@@ -10,8 +10,8 @@ import torch
 
 from occfusion.errors import ConfigError
 from occfusion.splat.backends import torch_backend
-from occfusion.splat.backends.layers import Layers
 from occfusion.splat.request import Request
+from occfusion.types import Rendering
 
 logger = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ def _choose(device: str, dtype: torch.dtype) -> tuple[str, str]:
     return "gsplat", "its picture and gradients match the torch backend"
 
 
-def render_with(backend: str, request: Request) -> Layers:
+def render_with(backend: str, request: Request) -> Rendering:
     """Returns the layers of a resolved backend; only the backend that runs is imported."""
     if backend == "numba":
         from occfusion.splat.backends.numba import backend as numba_backend

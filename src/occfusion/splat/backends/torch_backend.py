@@ -5,18 +5,18 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from occfusion.splat.backends.layers import Layers
 from occfusion.splat.backends.torch_blend import Blend
 from occfusion.splat.harmonics import evaluate
 from occfusion.splat.projection import Splats, project
 from occfusion.splat.request import Request
 from occfusion.splat.tiles import bin_splats
+from occfusion.types import Rendering
 
 TILE = 8
 """Pixels. Small tiles waste fewer (splat, pixel) pairs; 16 takes 1.7 times as long."""
 
 
-def render(request: Request, tile: int = TILE) -> Layers:
+def render(request: Request, tile: int = TILE) -> Rendering:
     """Returns the crop of the picture; the tile size changes the speed alone."""
     splats = project(request)
     colors = visible_colors(request, splats.index)
@@ -38,10 +38,10 @@ def visible_colors(request: Request, index: Tensor) -> Tensor:
     return evaluate(colors, rays / rays.norm(dim=-1, keepdim=True), request.sh_degree)
 
 
-def finish(request: Request, splats: Splats, rgb: Tensor, alpha: Tensor, weighted_depth: Tensor) -> Layers:
+def finish(request: Request, splats: Splats, rgb: Tensor, alpha: Tensor, weighted_depth: Tensor) -> Rendering:
     """Returns the layers: the background behind, depth as a mean over what covers the pixel."""
     if request.background is not None:
         rgb = rgb + (1 - alpha)[..., None] * request.background
     depth = weighted_depth / torch.where(alpha > 0, alpha, 1.0)
     radii = request.means.new_zeros(len(request.means), 2).index_copy(0, splats.index, splats.extents)
-    return Layers(rgb, alpha, depth, radii)
+    return Rendering(rgb, alpha, depth, radii)

@@ -186,15 +186,8 @@ class Blend(torch.autograd.Function):
         # one row for each (tile, splat) pair, summed in a fixed order
         splats = torch.cat([lists.splats.new_empty(0), *(chunk.splats.flatten() for chunk in parts)])
         total = grad.new_zeros(len(opacities) + 1, 6 + CHANNELS).index_add_(0, splats, pairs)[:-1]
-        return (
-            total[:, :2].to(means2d.dtype),
-            total[:, 2:5],
-            total[:, 5] / opacities,
-            total[:, 6:],
-            None,
-            None,
-            None,
-        )
+        to_shapes = total[:, :2].to(means2d.dtype), total[:, 2:5], total[:, 5] / opacities
+        return (*to_shapes, total[:, 6:], None, None, None)
 
 
 def _with_padding(

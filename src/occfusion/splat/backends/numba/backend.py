@@ -13,9 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from occfusion.cpu.compilation import run_parts
+from occfusion.cpu.compilation import array_of, run_parts
 from occfusion.errors import ConfigError
-from occfusion.splat.backends.layers import Layers
 from occfusion.splat.backends.numba import ahead
 from occfusion.splat.backends.numba.bins import GROUP, GROUP_ROWS, bin_splats, sort_by_depth
 from occfusion.splat.backends.numba.blend import blend_part
@@ -33,6 +32,7 @@ from occfusion.splat.backends.numba.project import project_backward_part, projec
 from occfusion.splat.limits import FRUSTUM_MARGIN
 from occfusion.splat.once import differentiable_once
 from occfusion.splat.request import Request
+from occfusion.types import Rendering
 
 Array = np.ndarray
 
@@ -102,25 +102,22 @@ def working_space() -> tuple[Array, Array]:
     return np.tile(new_planes(), (threads, 1)), np.zeros((threads, GROUP_ROWS, SPLAT_SIZE), np.float32)
 
 
-def array_of(tensor: Tensor | None, *tail: int) -> Array:
+def rows_of(tensor: Tensor | None, *tail: int) -> Array:
     """Returns the tensor's memory as an array, without rows when there is none."""
-    if tensor is None:
-        return np.empty((0, *tail), np.float32)
-    array: Array = tensor.detach().contiguous().numpy()
-    return array
+    return np.empty((0, *tail), np.float32) if tensor is None else array_of(tensor)
 
 
 def inputs_of(request: Request) -> Inputs:
     """Returns a request's inputs; memory is shared where it lies in one piece."""
     limits = request.limits
     return Inputs(
-        means=array_of(request.means),
-        quats=array_of(request.quats, 4),
-        scales=array_of(request.scales, 3),
-        covariances=array_of(request.covariances, 3, 3),
-        opacities=array_of(request.opacities),
-        colors=array_of(request.colors.flatten(1)),
-        offsets=array_of(request.screen_offsets, 2),
+        means=rows_of(request.means),
+        quats=rows_of(request.quats, 4),
+        scales=rows_of(request.scales, 3),
+        covariances=rows_of(request.covariances, 3, 3),
+        opacities=rows_of(request.opacities),
+        colors=rows_of(request.colors.flatten(1)),
+        offsets=rows_of(request.screen_offsets, 2),
         camera=pack_camera(request),
         options=np.array([request.near, limits.dilation, limits.alpha_min, request.antialiased]),
         degree=-1 if request.sh_degree is None else request.sh_degree,
@@ -155,7 +152,7 @@ def pair_gradients(
     """Returns the gradient of each (splat, tile) pair `[pairs, 10]`; the colours' columns alone where asked."""
     slots = np.empty((len(tape.entries), GRADIENT_SIZE), np.float32)
     quarters = np.empty((torch.get_num_threads(), 4 * GRADIENT_SIZE), np.float32)
-    rgb, *others = array_of(grads[0], 1, 3), array_of(grads[1], 1), array_of(grads[2], 1)
+    rgb, *others = rows_of(grads[0], 1, 3), rows_of(grads[1], 1), rows_of(grads[2], 1)
     scene = (
         tape.splats, tape.starts, tape.entries, tape.tiles, *working_space(), quarters, tape.grid, tape.limits,
         tape.background, alpha.numpy(), depth.numpy(), tape.blended, tape.kept,
@@ -169,25 +166,17 @@ def pair_gradients(
 
 def gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Array) -> list[Tensor | None]:
     """Returns the gradients of the eight inputs from means to viewmat; None for those not needed."""
-    shapes: list[tuple[int, ...]] = [
-        inputs.means.shape, inputs.quats.shape, inputs.scales.shape, inputs.covariances.shape,
-        inputs.opacities.shape, inputs.colors.shape, inputs.offsets.shape,
-    ]  # fmt: skip
+    shapes: list[tuple[int, ...]] = [getattr(inputs, name).shape for name in GRADIENTS]
     results: list[Tensor | None] = []
     for name, shape, need in zip(GRADIENTS, shapes, needed, strict=False):
         make = torch.empty if name == "colors" else torch.zeros  # colours, the largest, are written in full
         results.append(make(shape) if need else None)
-    arrays = [
-        array_of(result, *shape[1:]) if result is not None else np.empty((0, *shape[1:]), np.float32)
-        for result, shape in zip(results, shapes, strict=True)
-    ]
-    means, quats, scales, covariances, opacities, colors, offsets = arrays
+    arrays = [rows_of(result, *shape[1:]) for result, shape in zip(results, shapes, strict=True)]
     camera = np.zeros((-(-len(inputs.means) // PART) if needed[7] else 0, 12))
     run_parts(
         project_backward_part, inputs.means, inputs.quats, inputs.scales, inputs.covariances,
         inputs.opacities, inputs.colors, inputs.camera, inputs.options, inputs.degree,
-        tape.splats, tape.slots, pair_slots,
-        means, quats, scales, covariances, opacities, colors, offsets, camera, bool(needed[7]),
+        tape.splats, tape.slots, pair_slots, *arrays, camera, bool(needed[7]),
     )  # fmt: skip
     color = results[COLORS]
     if color is not None and inputs.degree >= 0:
@@ -210,7 +199,7 @@ LEAST_ALPHA_MIN = 1 / 256
 """The kernels' exponential covers alphas down to this."""
 
 
-def render(request: Request) -> Layers:
+def render(request: Request) -> Rendering:
     """Returns the crop of the picture; the backward pass is compiled too.
 
     Raises:
@@ -229,7 +218,7 @@ def render(request: Request) -> Layers:
         means, request.quats, request.scales, request.covariances, request.opacities, request.colors,
         request.screen_offsets,
     )  # fmt: skip
-    return Layers(*_Rasterize.apply(*gaussians, request.viewmat, request.background, request))
+    return Rendering(*_Rasterize.apply(*gaussians, request.viewmat, request.background, request))
 
 
 def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Tensor, Tensor]:
@@ -249,7 +238,7 @@ def _forward(request: Request, inputs: Inputs) -> tuple[Tape, Tensor, Tensor, Te
     lengths = np.diff(starts)
     # longest lists first, so that dealing the tiles out in turn gives each thread a like share
     tiles = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
-    background = np.zeros(3, np.float32) if request.background is None else array_of(request.background)
+    background = np.zeros(3, np.float32) if request.background is None else rows_of(request.background)
     limits = request.limits
     tape = Tape(
         splats, starts, entries, slots, tiles,

@@ -1,15 +1,23 @@
-"""Fair clocks: processor time, competitors in turn, the minimum and the median of many rounds."""
+"""What a call costs: fair clocks for competitors in turn, and peak memory above what the process held before."""
 
 from __future__ import annotations
 
 import statistics
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 
+from occfusion.cpu.memory import return_memory
+
 MAX_ROUNDS = 40
+_STATUS = Path("/proc/self/status")
+_CLEAR = Path("/proc/self/clear_refs")
+_RESET_PEAK = "5"
+"""Writing 5 to `clear_refs` sets the peak resident size to the present one (Linux `proc(5)`)."""
 
 
 @dataclass(frozen=True)
@@ -76,3 +84,35 @@ def _synchronise() -> None:
 def _summary(first: float, samples: list[tuple[float, float]]) -> Timing:
     cpu, wall = zip(*samples, strict=True)
     return Timing(first, min(cpu), statistics.median(cpu), min(wall), statistics.median(wall), len(samples))
+
+
+def extra_memory_mb(call: Callable[[], object], device: torch.device) -> float | None:
+    """Returns the peak of a call above the level before it, MB; None where the system does not tell.
+
+    On a CPU: the resident size, after freed memory has been given back to the system so that it counts again
+    when it is used again. Call it once before, so that compiling is not counted.
+    """
+    if device.type == "cuda":
+        torch.cuda.synchronize()
+        torch.cuda.reset_peak_memory_stats()
+        before = torch.cuda.memory_allocated()
+        call()
+        torch.cuda.synchronize()
+        return (torch.cuda.max_memory_allocated() - before) / 1e6
+    if sys.platform != "linux":
+        return None
+    return_memory()
+    try:
+        _CLEAR.write_text(_RESET_PEAK, encoding="ascii")
+    except OSError:
+        return None
+    before = _status_kb("VmRSS")
+    call()
+    return (_status_kb("VmHWM") - before) * 1024 / 1e6
+
+
+def _status_kb(key: str) -> int:
+    for line in _STATUS.read_text(encoding="ascii").splitlines():
+        if line.startswith(f"{key}:"):
+            return int(line.split()[1])
+    raise KeyError(f"{_STATUS} has no {key}")
