@@ -68,6 +68,20 @@ def test_the_training_camera_alone_is_corrected_where_others_are_right(scene, tm
     assert decision["used"] and "in the training camera alone" in decision["reason"], decision
 
 
+def test_a_focal_length_that_is_off_alone_is_corrected(scene, tmp_path):
+    """No shift comes with it, for other cameras to confirm."""
+    right = np.array(scene.cams["K"][0])
+    scene.cams["K"][0] = right * np.array([[1.03, 1, 1], [1, 1.03, 1], [1, 1, 1]])
+    try:
+        decision, _ = train(scene, tmp_path, ())
+    finally:
+        scene.cams["K"][0] = right
+        writers.save_object(scene.folder / "annots.npy", scene.annots)
+    assert decision["used"] and "in the training camera alone" in decision["reason"], decision
+    found = re.search(r"and (0\.9\d+), in the training", decision["reason"])
+    assert found is not None and float(found[1]) == pytest.approx(1 / 1.03, abs=4e-3)
+
+
 def test_exact_cameras_are_left_alone(scene, tmp_path):
     decision, _ = train(scene, tmp_path, ())
     assert not decision["used"] and "nothing is certainly off" in decision["reason"], decision

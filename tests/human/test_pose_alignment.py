@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import gaussian_filter
 
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.rotation import axis_angle_to_matrix
@@ -17,6 +18,7 @@ from occfusion.observation import pose_alignment
 from occfusion.observation.outline_system import OutlineSystem
 from occfusion.observation.pose_alignment import GROUPS, Aligner, align_poses, aligned_pose, spline_weights
 from occfusion.observation.pose_witness import Look, Witness, _Figure, observe_outline
+from occfusion.synth.disturb import move_edge
 from occfusion.types import Camera, Frame, Pose
 
 SIZE, FRAMES = 112, 32
@@ -66,6 +68,17 @@ def looks(
             mask[:, hide] = False
         found.append(Look(k, given(k), camera(), mask))
     return found
+
+
+def wander(found: list[Look], pixels: float) -> list[Look]:
+    """The edges of masks off by so much, alike for some pixels and for some frames, as a segmenter's are."""
+    noise = np.random.default_rng(3).standard_normal((FRAMES, SIZE, SIZE))
+    shifts = gaussian_filter(noise, 3.0)
+    shifts *= pixels / shifts.std()
+    return [
+        replace(look, seen=move_edge(look.seen, shift.astype(np.float32)))
+        for look, shift in zip(found, shifts, strict=True)
+    ]
 
 
 def joints_of(body: Body, pose: Pose) -> Floats:
@@ -241,6 +254,15 @@ def test_right_poses_are_left_alone(whole_body: Body) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("spread", "pixels"), [(0.0, 3.0), (0.01, 1.0), (0.03, 2.0)])
+def test_masks_whose_edges_wander_are_told_from_poses(whole_body: Body, spread: float, pixels: float) -> None:
+    """Frames left out err as their neighbours do, and so let exact poses gain a little."""
+    given = wrong(spread, 0.3 * spread) if spread else motion
+    found = align_poses(wander(looks(whole_body, given, motion), pixels), whole_body, 4)
+    assert found is not None and found.is_taken == bool(spread)
+    assert found.gain > 1.2 * pose_alignment.WORTH if spread else found.gain < 0.3 * pose_alignment.WORTH
+
+
 def test_another_build_is_not_taken_for_poses(whole_body: Body) -> None:
     """The person is broader and taller than the body as given: joints hardly move for that."""
     betas = torch.tensor([0.3, 0.8, -0.6, 0.5, 0.0, 0.0, 0.4, 0.0, 0.0, 0.0])

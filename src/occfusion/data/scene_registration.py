@@ -83,10 +83,12 @@ def register_scene(
     shown = [_view(views.train_frame(k, truth=False), k, views, poser) for k in chosen]
     rest = poser.rest_vertices(views.parameters(prepared.train[0]).betas)
     measured = register(shown, faces, rest)
-    if measured is None or measured.suspected.is_none:
-        return SceneRegistration(measured, {})
+    if measured is None:
+        return SceneRegistration(None, {})
     lens, is_certain = views.lens(own), not measured.correction.is_none and not poses_may_explain
     found = measured.correction if is_certain else measured.suspected
+    if found.is_none:
+        return SceneRegistration(measured, {})
     correction = found.resized(lens.source[0] / lens.size[0])
     corrections = {own: correction} if is_certain else {}
     others = [view for view in prepared.test_views if view[1] != own]

@@ -58,9 +58,10 @@ MOST_KNOTS, LOOKS_A_KNOT = 60, 4
 """Knots of a long sequence, and the frames that are looked at for each: more say the same again, and cost as much."""
 AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the correction, that are tried on frames that it was not found by."""
-WORTH = 0.05
+WORTH = 0.1
 """Of the misfit with masks, the share that has to go before anything is taken. Clothes that stand off all the time let
-exact poses gain half a percent, wrong ones (0.03 radians) gain 40 (docs/experiments/029-alignment.md)."""
+exact poses gain half a percent; mask edges that are off by pixels and stay so for some frames, 7. Poses that are off by
+0.01 radians gain 13, those of estimators 25 to 60 (docs/experiments/046-masks-that-wander.md)."""
 LEAST_FRAMES = 10
 
 

@@ -177,7 +177,8 @@ def _register_and_align(
     """Returns whether pictures lie where cameras say, and what outlines say of poses; cameras are corrected.
 
     Each may be mistaken for the other. A shift that is certain whatever the poses are is taken out of the cameras, and
-    poses are aligned behind it; another one takes held-out cameras to confirm it.
+    poses are aligned behind it; so is one that is certain where outlines do not say that poses are off. Another one
+    takes held-out cameras to confirm it.
     """
 
     def align(*, registered: bool) -> Alignment | None:
@@ -188,7 +189,7 @@ def _register_and_align(
     alignment = align(registered=is_off) if is_alignment_asked(settings) else None
     if is_off:
         return None, alignment
-    may_explain = alignment is not None and not alignment.shows_shift
+    may_explain = alignment is not None and alignment.is_taken and not alignment.shows_shift
     registered = data.register(body.faces.cpu().numpy(), poses_may_explain=may_explain)
     if alignment is not None and registered.corrections:
         alignment = align(registered=True)
