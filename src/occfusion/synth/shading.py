@@ -13,6 +13,7 @@ from occfusion.synth.rotations import Floats
 
 SUPERSAMPLING = 2  # samples a side of each pixel
 PADDING = 2  # pixels round the projected mesh
+WHITE = 255.0
 
 
 class Window(NamedTuple):
@@ -51,6 +52,28 @@ class Mesh(NamedTuple):
     texture: NDArray[np.float32]
 
 
+class LinearMesh(NamedTuple):
+    """A textured mesh as one camera sees it lit.
+
+    Attributes:
+        vertices: `[V, 3]`, metres, world.
+        light: factor on the texture at the vertices, `[V, 3]`.
+        shine: what is added, `[V, 3]`.
+        faces: `[F, 3]`.
+        uv: texture coordinates of the corners, `[F, 3, 2]`.
+        layer: texture layer of each face, `[F]`.
+        texture: `[L, S, S, 3]`, linear.
+    """
+
+    vertices: Floats
+    light: Floats
+    shine: Floats
+    faces: NDArray[np.int64]
+    uv: Floats
+    layer: NDArray[np.int64]
+    texture: NDArray[np.float32]
+
+
 class Sampled(NamedTuple):
     """Where a mesh lies in a picture, at sample resolution.
 
@@ -70,13 +93,9 @@ def draw(mesh: Mesh, viewmat: Floats, K: Floats, size: int) -> Window | None:
     found = sample(mesh.vertices, mesh.faces, viewmat, K, size)
     if found is None:
         return None
-    seen = found.zbuffer
-    colour = np.zeros((*seen.depth.shape, 3), np.float32)
-    _shade(
-        seen.face, seen.barycentrics, mesh.faces, mesh.light.astype(np.float32), mesh.uv.astype(np.float32),
-        mesh.layer, mesh.texture, colour,
-    )  # fmt: skip
-    return Window(found.x, found.y, seen.depth, colour)
+    light = np.repeat(mesh.light[:, None], 3, axis=1)
+    lit = LinearMesh(mesh.vertices, light, np.zeros_like(light), *mesh[2:])
+    return _shaded(found, lit, WHITE, WHITE)
 
 
 def sample(
@@ -100,15 +119,28 @@ def sample(
     return Sampled(left, top, rasterize_mesh(samples, np.where(ahead, depth, -1.0), faces, *shape))
 
 
+def _shaded(found: Sampled, mesh: LinearMesh, white: float, limit: float) -> Window:
+    seen = found.zbuffer
+    colour = np.zeros((*seen.depth.shape, 3), np.float32)
+    _shade(
+        seen.face, seen.barycentrics, mesh.faces, mesh.light.astype(np.float32), mesh.shine.astype(np.float32),
+        mesh.uv.astype(np.float32), mesh.layer, mesh.texture, white, limit, colour,
+    )  # fmt: skip
+    return Window(found.x, found.y, seen.depth, colour)
+
+
 @serial
 def _shade(
     face: NDArray[np.int32],
     barycentrics: NDArray[np.float32],
     faces: NDArray[np.int64],
     light: NDArray[np.float32],
+    shine: NDArray[np.float32],
     uv: NDArray[np.float32],
     layer: NDArray[np.int64],
     texture: NDArray[np.float32],
+    white: float,
+    limit: float,
     out: NDArray[np.float32],
 ) -> None:
     for row in range(face.shape[0]):
@@ -117,13 +149,14 @@ def _shade(
             if f < 0:
                 continue
             weights = barycentrics[row, column]
-            brightness = 0.0
-            for k in range(3):
-                brightness += weights[k] * light[faces[f, k]]
             i, j, ty, tx = texel(weights, uv[f], texture.shape[1])
             for c in range(3):
-                value = 255.0 * brightness * bilinear(texture[layer[f]], i, j, ty, tx, c)
-                out[row, column, c] = min(value, 255.0)
+                brightness, added = 0.0, 0.0
+                for k in range(3):
+                    brightness += weights[k] * light[faces[f, k], c]
+                    added += weights[k] * shine[faces[f, k], c]
+                value = white * brightness * bilinear(texture[layer[f]], i, j, ty, tx, c) + added
+                out[row, column, c] = min(value, limit)
 
 
 @step
@@ -150,28 +183,6 @@ def bilinear(page: NDArray[np.float32], i: int, j: int, ty: float, tx: float, c:
     return (1.0 - ty) * upper + ty * lower
 
 
-class LinearMesh(NamedTuple):
-    """A textured mesh as one camera sees it lit.
-
-    Attributes:
-        vertices: `[V, 3]`, metres, world.
-        light: factor on the texture at the vertices, `[V, 3]`.
-        shine: what is added, `[V, 3]`.
-        faces: `[F, 3]`.
-        uv: texture coordinates of the corners, `[F, 3, 2]`.
-        layer: texture layer of each face, `[F]`.
-        texture: `[L, S, S, 3]`, linear.
-    """
-
-    vertices: Floats
-    light: Floats
-    shine: Floats
-    faces: NDArray[np.int64]
-    uv: Floats
-    layer: NDArray[np.int64]
-    texture: NDArray[np.float32]
-
-
 def draw_linear(mesh: LinearMesh, viewmat: Floats, K: Floats, size: int) -> Window | None:
     """Returns what a camera of `size` x `size` pixels sees of a mesh in linear light; None: nothing.
 
@@ -180,40 +191,7 @@ def draw_linear(mesh: LinearMesh, viewmat: Floats, K: Floats, size: int) -> Wind
     found = sample(mesh.vertices, mesh.faces, viewmat, K, size)
     if found is None:
         return None
-    seen = found.zbuffer
-    colour = np.zeros((*seen.depth.shape, 3), np.float32)
-    _shade_linear(
-        seen.face, seen.barycentrics, mesh.faces, mesh.light.astype(np.float32), mesh.shine.astype(np.float32),
-        mesh.uv.astype(np.float32), mesh.layer, mesh.texture, colour,
-    )  # fmt: skip
-    return Window(found.x, found.y, seen.depth, colour)
-
-
-@serial
-def _shade_linear(
-    face: NDArray[np.int32],
-    barycentrics: NDArray[np.float32],
-    faces: NDArray[np.int64],
-    light: NDArray[np.float32],
-    shine: NDArray[np.float32],
-    uv: NDArray[np.float32],
-    layer: NDArray[np.int64],
-    texture: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    for row in range(face.shape[0]):
-        for column in range(face.shape[1]):
-            f = face[row, column]
-            if f < 0:
-                continue
-            weights = barycentrics[row, column]
-            i, j, ty, tx = texel(weights, uv[f], texture.shape[1])
-            for c in range(3):
-                brightness, added = 0.0, 0.0
-                for k in range(3):
-                    brightness += weights[k] * light[faces[f, k], c]
-                    added += weights[k] * shine[faces[f, k], c]
-                out[row, column, c] = brightness * bilinear(texture[layer[f]], i, j, ty, tx, c) + added
+    return _shaded(found, mesh, 1.0, np.inf)
 
 
 @serial
