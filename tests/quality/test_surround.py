@@ -75,6 +75,16 @@ def test_pictures_larger_than_the_small_black_one(
     assert float(metric.over_black(a, b)) == pytest.approx(float(metric(a, b)), rel=RELATIVE)
 
 
+def test_filters_that_were_dropped_are_made_anew() -> None:
+    metric = made_up(antialiased=True)
+    a, b = pair(96, 120, (40, 30, 20, 30))
+    before = metric.over_black(a, b)
+    assert metric._surround._tiles
+    metric.drop_filters()
+    assert not metric._surround._tiles
+    assert torch.equal(metric.over_black(a, b), before)
+
+
 def test_published_weights_both_calls_and_other_sizes_in_turn() -> None:
     metric = load_perceptual("stlpips")
     for metric_ in (metric, metric.with_unit_inputs(), metric):

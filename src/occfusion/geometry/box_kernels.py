@@ -10,6 +10,13 @@ from numpy.typing import NDArray
 from occfusion.cpu.compilation import kernel
 
 
+def warm_up() -> None:
+    """Compiles the kernels, or loads them from the cache: by no point and an empty mask."""
+    points, viewmat, K = (np.zeros(shape, np.float32) for shape in ((0, 3), (4, 4), (3, 3)))
+    bounds_of_points(points, viewmat, K, 0.0, 0.0)
+    bounds_of_mask(np.zeros((1, 1), np.bool_))
+
+
 @kernel
 def bounds_of_points(
     points: NDArray[np.float32],

@@ -10,6 +10,8 @@ gc.disable()  # a tenth of the time, in a process that keeps what it makes
 from occfusion.human.kernels import compile_kernels
 from occfusion.human.rendering import Renderer
 compile_kernels(Renderer("numba"))
+from occfusion.perceptual import surround
+surround.warm_up()  # of figures, the first of which are asked for within a second of the first step
 """
 
 
@@ -19,14 +21,14 @@ def compile_kernels(renderer: Renderer) -> None:
         renderer.warm_up()
         return
     # numba is loaded where it is used
-    from occfusion.geometry import rotation_kernels, skinning_kernels
+    from occfusion.geometry import box_kernels, rotation_kernels, skinning_kernels
     from occfusion.human import carry_kernels, color_kernels
     from occfusion.quality import fused
     from occfusion.splat.backends.numba import ahead
 
     ahead.wait()
     renderer.warm_up()
-    for module in (fused, carry_kernels, color_kernels, rotation_kernels, skinning_kernels):
+    for module in (fused, carry_kernels, color_kernels, rotation_kernels, skinning_kernels, box_kernels):
         module.warm_up()
 
 

@@ -107,6 +107,10 @@ class PerceptualMetric(nn.Module):
             total += mean_distance(part, head, NORM_EPS)
         return a.new_tensor(total)
 
+    def drop_filters(self) -> None:
+        """Drops what `over_black` keeps of the network in another form, 235 MB; the next call makes it anew."""
+        self._surround.drop_filters()
+
     @torch.no_grad()
     def features(self, picture: Tensor) -> Features:
         """Returns the features of a picture `[H, W, 3]`, to be kept and given to `distance` again and again.

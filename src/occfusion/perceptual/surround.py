@@ -19,7 +19,7 @@ from torch import Tensor
 
 from occfusion.cpu.compilation import run_parts
 from occfusion.perceptual.kernels import LANES, pool_places, sum_distances
-from occfusion.perceptual.network import BLOCKS, VggFeatures
+from occfusion.perceptual.network import BLOCKS, VggFeatures, layer_shapes
 from occfusion.perceptual.winograd import TileConvolution, working_space
 
 SMALL = 320
@@ -77,6 +77,10 @@ class BlackSurround:
     def __deepcopy__(self, memo: dict[int, object]) -> BlackSurround:
         copied: VggFeatures = memo.get(id(self._network), self._network)  # type: ignore[assignment]
         return BlackSurround(copied)
+
+    def drop_filters(self) -> None:
+        """Drops transformed filters, 235 MB, which are made anew where they are needed."""
+        self._tiles = {}
 
     def parts(self, pictures: Tensor, lit: Tensor, black: float) -> Iterator[Map]:
         """Yields the last activations of the five blocks, which are large and dropped when the next are asked for.
@@ -187,6 +191,16 @@ def mean_distance(features: Map, head: Tensor, floor: float) -> float:
         sum_distances, features.values, features.chosen, weights, np.float32(floor), sums, working_space()
     )
     return float(sums.sum()) / features.positions
+
+
+def warm_up() -> None:
+    """Compiles the kernels, or loads them from the cache: by a network of zeros and two small pictures, a pixel lit."""
+    weights = {name: (torch.zeros(shape), torch.zeros(shape[0])) for name, shape in layer_shapes().items()}
+    side, network = 2 * PHASE, VggFeatures(weights, antialiased=True)
+    lit = torch.zeros(side, side, dtype=torch.bool)
+    lit[PHASE, PHASE] = True
+    for part in BlackSurround(network).parts(torch.zeros(2, 3, side, side), lit, 0.0):
+        mean_distance(part, torch.zeros(part.values.shape[3] * LANES), 1.0)
 
 
 def _extent(used: Tensor) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from occfusion.cpu.compilation import inline, kernel, run_parts
+from occfusion.cpu.compilation import array_of, inline, kernel, run_parts
 from occfusion.quality.ssim import C1, C2, WINDOW, window
 
 Plane = NDArray[np.float32]
@@ -55,7 +55,7 @@ class _L1AndSsim(torch.autograd.Function):
         sums = np.zeros((channels, STATISTICS))
         if a.numel():
             run_parts(
-                _channels, a.detach().numpy(), b.detach().numpy(), mask.numpy(), inner.numpy(),
+                _channels, *(array_of(part) for part in (a, b, mask, inner)),
                 *(_padded(window(length)) for length in (height, width)), sums, by_l1, by_ssim, needed,
             )  # fmt: skip
         counts = [max(int(pixels.sum()) * channels, 1) for pixels in (mask, inner)]
@@ -145,9 +145,10 @@ def _channels(
                 for k in range(1, reach_x + 1):
                     plane[y, HALF - k] = plane[y, HALF + k]
                     plane[y, HALF + width - 1 + k] = plane[y, HALF + width - 1 - k]
-            for k in range(1, reach_y + 1):
-                plane[HALF - k] = plane[HALF + k]
-                plane[HALF + height - 1 + k] = plane[HALF + height - 1 - k]
+            for k in range(1, reach_y + 1):  # number by number: a row at once compiles for seconds
+                for x in range(wide):
+                    plane[HALF - k, x] = plane[HALF + k, x]
+                    plane[HALF + height - 1 + k, x] = plane[HALF + height - 1 - k, x]
         by_moments[:] = 0
         for y in range(height):
             if not inner[y].any():
@@ -195,8 +196,9 @@ def _channels(
                         spread[j, y + k, x] += rows[k] * row[x]
         for j in range(3):
             for k in range(1, reach_y + 1):
-                spread[j, HALF + k] += spread[j, HALF - k]
-                spread[j, HALF + height - 1 - k] += spread[j, HALF + height - 1 + k]
+                for x in range(wide):
+                    spread[j, HALF + k, x] += spread[j, HALF - k, x]
+                    spread[j, HALF + height - 1 - k, x] += spread[j, HALF + height - 1 + k, x]
         for y in range(height):
             for x in range(width):
                 v, u = y + HALF, x + HALF

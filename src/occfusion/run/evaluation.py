@@ -66,6 +66,8 @@ def evaluate_run(
         positions = range(0, len(data.train_indices), evaluation.training_stride)
         views = islice((data.train_frame(k) for k in positions), limit)
         rows += evaluate_frames(render, views, TRAINING_REGIONS, perceptual)
+    if perceptual is not None:  # pictures and films follow, which want room of their own
+        perceptual.drop_filters()
     write_per_image_csv(folder.per_image, rows)
     write_grouped_csv(folder.per_camera, rows, "camera")
     write_grouped_csv(folder.per_frame, rows, "frame")
