@@ -10,11 +10,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numba
 import pytest
 import torch
 from numba.core import event
 
-from occfusion.cpu.compilation import kernel
 from occfusion.human.kernels import compile_kernels, compile_meanwhile
 from occfusion.human.rendering import Renderer
 from occfusion.perceptual import load_perceptual, surround
@@ -149,11 +149,11 @@ def test_nothing_is_collected_while_a_kernel_compiles() -> None:
             pass
 
     with event.install_listener("numba:compile", Watch()):  # called behind the one that pauses the collector
-        assert kernel(_twice)(2) == 4
+        assert numba.njit(_twice)(2) == 4
     assert seen and not any(seen) and gc.isenabled()
     gc.disable()
     try:
-        kernel(_twice)(2.0)
+        numba.njit(_twice)(2.0)
         assert not gc.isenabled()  # nor turned on where it was off
     finally:
         gc.enable()
