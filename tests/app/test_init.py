@@ -20,6 +20,7 @@ from occfusion.priors.embedded.network_file import save_net
 from occfusion.priors.embedded.silhouette_net import SILHOUETTE, load_silhouette_net
 from occfusion.priors.masks import MaskPrior
 from occfusion.settings.stages import InitSettings
+from occfusion.stages import framewise
 from occfusion.stages.init import InitStage
 from occfusion.types import Frame
 
@@ -182,6 +183,22 @@ def test_manifest_says_with_what(make: Make, data: ZjuDataModule) -> None:
     assert content["calibration"]["weights"] == [1.0, 0.0, 0.0]
     assert set(content["frames"]) == {f"{m.index:06d}" for m in stage.observed_frames}
     assert 0.0 < content["consistency"] <= 1.0
+
+
+def test_a_long_video_writes_its_manifest_less_often(
+    make: Make, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Written after each frame, the manifest of 2000 frames would cost more than their masks."""
+    stage, written = make(CountingPrior()), list[int]()
+    monkeypatch.setattr(framewise, "write_json", lambda _, content: written.append(len(content["frames"])))
+    monkeypatch.setattr(framewise, "digests", lambda *_: {})
+    frames = 2000
+    for frame in range(frames):
+        stage.records[f"{frame:06d}"] = {}
+        stage.on_predict_batch_end()
+        assert len(stage.records) - written[-1] < 2 * (1 + frame // framewise.WRITTEN_EACH)  # lost if it is killed now
+    assert written[:100] == list(range(1, 101))
+    assert sum(written) <= framewise.WRITTEN_EACH * frames
 
 
 # -- calibration ----------------------------------------------------------------------------------------------

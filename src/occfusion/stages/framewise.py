@@ -22,6 +22,10 @@ from occfusion.stages.progress import FrameProgress
 from occfusion.types import Frame
 
 
+WRITTEN_EACH = 100
+"""Frames up to which the manifest is written after each: beyond, so seldom that a frame costs no more than it did then."""
+
+
 class FramewiseStage(Stage):
     """A stage that writes a picture of each frame and keeps a manifest, so that a stopped run continues behind it.
 
@@ -58,7 +62,10 @@ class FramewiseStage(Stage):
         Raises:
             Interrupted: a signal stopped it; what is written stays.
         """
-        signal = predict_frames(self, read, positions, progress=progress) if positions else None
+        if not positions:
+            return
+        signal = predict_frames(self, read, positions, progress=progress)
+        self.write_manifest()
         if signal is not None:
             raise Interrupted(signal, str(self.folder.path))
 
@@ -99,8 +106,10 @@ class FramewiseStage(Stage):
         return batch
 
     def on_predict_batch_end(self, *_: Any) -> None:
-        """Writes the manifest after each frame."""
-        self.write_manifest()
+        """Writes the manifest, which holds all frames, after each of them or after a few."""
+        done = len(self.records)
+        if done % (1 + done // WRITTEN_EACH) == 0:
+            self.write_manifest()
 
     def write_manifest(self, **more: Any) -> None:
         """Writes what was done, with what, and the fingerprints of the pictures."""
