@@ -196,7 +196,9 @@ def test_a_long_video_writes_its_manifest_less_often(
     for frame in range(frames):
         stage.records[f"{frame:06d}"] = {}
         stage.on_predict_batch_end()
-        assert len(stage.records) - written[-1] < 2 * (1 + frame // framewise.WRITTEN_EACH)  # lost if it is killed now
+        assert len(stage.records) - written[-1] < 2 * (
+            1 + frame // framewise.WRITTEN_EACH
+        )  # lost if it is killed now
     assert written[:100] == list(range(1, 101))
     assert sum(written) <= framewise.WRITTEN_EACH * frames
 

@@ -21,9 +21,8 @@ from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.progress import FrameProgress
 from occfusion.types import Frame
 
-
 WRITTEN_EACH = 100
-"""Frames up to which the manifest is written after each: beyond, so seldom that a frame costs no more than it did then."""
+"""Frames up to which the manifest is written after each; beyond, so seldom that a frame costs no more than then."""
 
 
 class FramewiseStage(Stage):
