@@ -206,6 +206,20 @@ def test_selection(tiny):
     assert [f.index for f in data.train_frames()] == [1, 3, 5]
 
 
+def test_of_many_training_frames_some_are_taken_evenly(tiny):
+    every, some = module(tiny), module(tiny, max_train_frames=3)
+    assert some.train_indices == (1, 3, 5)  # the middles of thirds
+    assert some.test_indices == every.test_indices
+    assert "3 of 6 training frames" in some.taken.pictures and "of 6" not in every.taken.pictures
+    assert some.summary()["taken"]["pictures"] == some.taken.pictures
+    assert some.summary()["hash"] != every.summary()["hash"]
+    assert module(tiny, max_train_frames=6).summary() == every.summary()
+    # the occlusion is that of the frames that are trained on
+    hidden = module(tiny, max_train_frames=3, occlusion=OcclusionSettings("strip"))
+    shares = [frame.occluded.any().item() for frame in hidden.train_frames()]
+    assert shares == [True, True, False]
+
+
 class Probe(L.LightningModule):
     """Takes steps and remembers which frame each saw."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -135,8 +135,13 @@ class HumanDataModule(L.LightningDataModule):
 
     @property
     def taken(self) -> Taken:
-        """What the reader took of the folder."""
-        return self._open()[0].scene.taken
+        """What the reader took of the folder, and how many of its frames are trained on where not all are."""
+        prepared = self._open()[0]
+        taken, count = prepared.scene.taken, len(prepared.train) + len(prepared.left_out)
+        if count == prepared.offered:
+            return taken
+        thinned = f"{count} of {prepared.offered} training frames, evenly spread (dataset.max_train_frames)"
+        return replace(taken, pictures=f"{taken.pictures}; {thinned}")
 
     @property
     def train_indices(self) -> tuple[int, ...]:
@@ -294,7 +299,7 @@ class HumanDataModule(L.LightningDataModule):
                 held_out += repr((camera, correction))
         return {
             "scene": prepared.scene.name,
-            "taken": asdict(prepared.scene.taken),
+            "taken": asdict(self.taken),
             "frames": len(prepared.train),
             "frames_left_out": list(prepared.left_out),
             "cameras": len(prepared.scene.cameras),

@@ -10,6 +10,7 @@ import numpy as np
 
 from occfusion.data.checking import survey
 from occfusion.data.occlusion import OcclusionSettings, plan
+from occfusion.data.sampling import spread
 from occfusion.data.scene import PictureFiles, Scene
 from occfusion.data.silhouette import Hidden
 from occfusion.errors import ConfigError, DataError
@@ -105,12 +106,14 @@ class Selection:
         test_cameras: indices of the held-out cameras.
         train_frames: `[start, stop, step]`.
         test_frames: `[start, stop, step]`.
+        max_train_frames: of more training frames so many are taken, evenly spread.
     """
 
     train_camera: int
     test_cameras: Sequence[int] | None
     train_frames: Sequence[int | None] | None
     test_frames: Sequence[int | None] | None
+    max_train_frames: int | None = None
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,7 @@ class Prepared:
         people: what their masks show.
         hidden: the simulated occlusion of each, in pixels of the stored picture.
         left_out: training frames whose mask is empty.
+        offered: training frames of which those before were taken.
         test: held-out frames.
         camera: the camera trained on.
         cameras: held-out cameras.
@@ -133,6 +137,7 @@ class Prepared:
     people: tuple[survey.Person, ...]
     hidden: tuple[Hidden | None, ...]
     left_out: tuple[int, ...]
+    offered: int
     test: tuple[int, ...]
     camera: int
     cameras: tuple[int, ...]
@@ -172,7 +177,9 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
     """
     camera = selection.train_camera
     cameras = held_out_cameras(selection.test_cameras, camera, len(scene.cameras))
-    wanted = train_range(selection.train_frames, scene.num_frames)
+    offered = train_range(selection.train_frames, scene.num_frames)
+    most = len(offered) if selection.max_train_frames is None else selection.max_train_frames
+    wanted = tuple(offered[k] for k in spread(len(offered), most))
     held_out = held_out_range(selection.test_frames, scene.num_frames)
     if selection.test_frames is None:
         held_out = _shown(scene, cameras, held_out, wanted)
@@ -190,6 +197,7 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
         people=people,
         hidden=plan(occlusion, [person.whole for person in people], scene.name, train),
         left_out=tuple(frame for frame in wanted if frame not in set(train)),
+        offered=len(offered),
         test=held_out,
         camera=camera,
         cameras=cameras,

@@ -17,6 +17,7 @@ from occfusion.synth.spec import LIGHTS
 
 Frames = list[int | None] | None
 LAST_CAMERA = 10_000
+MANY_FRAMES = 100_000
 
 
 @dataclass
@@ -42,6 +43,9 @@ class DatasetSettings:
         None, "[start, stop, step] of those trained on; null: the protocol's, cut to the scene"
     )
     test_frames: Frames = setting(None, "the same of the held-out ones; null: the protocol's")
+    max_train_frames: int | None = setting(
+        None, "of more training frames so many are taken, evenly spread; null: all", 1, MANY_FRAMES
+    )
     masks: str | None = setting(None, "the folder of masks; null: the protocol's")
     occlusion: OcclusionSettings = field(default_factory=OcclusionSettings)
 
@@ -60,7 +64,7 @@ class SyntheticSettings(DatasetSettings):
     image_size: int | None = setting(
         256, "width and height in pixels of the written pictures", MIN_SIZE, MAX_SIZE
     )
-    frames: int = setting(100, "moments of the written scene", 1, 100_000)
+    frames: int = setting(100, "moments of the written scene", 1, MANY_FRAMES)
     cameras: int = setting(23, "of the ring around the person", 1, LAST_CAMERA)
     light: str = setting("soft", "of the scene", choices=LIGHTS)
     turn: int | None = setting(

@@ -42,6 +42,7 @@ class OcMotionDataModule(HumanDataModule):
         test_cameras: Sequence[int] | None = (),
         train_frames: Sequence[int | None] | None = None,
         test_frames: Sequence[int | None] | None = None,
+        max_train_frames: int | None = None,
         occlusion: str | Mapping[str, Any] | OcclusionSettings | None = "none",
         masks: str | None = None,
         person: int | None = None,
@@ -64,6 +65,7 @@ class OcMotionDataModule(HumanDataModule):
             train_frames: `[start, stop, step]`; the protocol's, the paper's being `[0, 100, 2]`, cut to the
                 sequence, when None.
             test_frames: the same for held-out views.
+            max_train_frames: of more training frames so many are taken, evenly spread.
             occlusion: hides more, on top of what is really hidden.
             masks: mask folder; `masks` in the cut, `mask` in the raw release when None.
             person: id of the person among several; the one in the most frames when None.
@@ -79,7 +81,7 @@ class OcMotionDataModule(HumanDataModule):
         self._frames_given = train_frames is not None
         frames = self._protocol.frames if train_frames is None else train_frames
         held_out = self._protocol.frames if test_frames is None else test_frames
-        selection = Selection(train_camera, test_cameras, frames, held_out)
+        selection = Selection(train_camera, test_cameras, frames, held_out, max_train_frames)
         super().__init__(body, selection, image_size, occlusion, seed)
         if not root or not scene:
             raise ConfigError("dataset.root and dataset.scene must name a folder and a sequence in it.")

@@ -33,6 +33,7 @@ class VideoDataModule(HumanDataModule):
         test_cameras: Sequence[int] | None = None,
         train_frames: Sequence[int | None] | None = None,
         test_frames: Sequence[int | None] | None = None,
+        max_train_frames: int | None = None,
         occlusion: str | Mapping[str, Any] | OcclusionSettings | None = "none",
         masks: str = "masks",
         person: int | None = None,
@@ -57,6 +58,7 @@ class VideoDataModule(HumanDataModule):
             train_frames: `[start, stop, step]` of the frames, which are the pictures that have a pose and a mask;
                 the protocol's, or all, when None.
             test_frames: `[start, stop, step]`, with `test_cameras=[0]`; the protocol's when None.
+            max_train_frames: of more training frames so many are taken, evenly spread.
             occlusion: hides more, on top of what is really hidden.
             masks: mask folder.
             person: the value of the wanted person in masks that number several.
@@ -80,7 +82,7 @@ class VideoDataModule(HumanDataModule):
         if self._ranges is not None and test_cameras is None:
             test_cameras = [0]
         frames = (0, None, 1) if train_frames is None and self._ranges is None else train_frames
-        selection = Selection(train_camera, test_cameras, frames, test_frames)
+        selection = Selection(train_camera, test_cameras, frames, test_frames, max_train_frames)
         super().__init__(body, selection, image_size, occlusion, seed)
         self._masks, self._person, self._is_occluded = masks, person, occluded
         self._poses, self._track_frames, self._betas = poses, track_frames, betas

@@ -32,6 +32,7 @@ class ZjuDataModule(HumanDataModule):
         test_cameras: Sequence[int] | None = None,
         train_frames: Sequence[int | None] | None = None,
         test_frames: Sequence[int | None] | None = None,
+        max_train_frames: int | None = None,
         occlusion: str | Mapping[str, Any] | OcclusionSettings | None = "strip",
         masks: str | None = None,
         layout: str = "auto",
@@ -50,6 +51,7 @@ class ZjuDataModule(HumanDataModule):
             test_cameras: indices of the held-out cameras; the protocol's when None.
             train_frames: `[start, stop, step]`; the protocol's, cut to the sequence, when None.
             test_frames: the same for held-out views.
+            max_train_frames: of more training frames so many are taken, evenly spread.
             occlusion: a kind or its settings; applied to the training camera alone.
             masks: `mask`, `mask_cihp`, `schp`, or `mask+mask_cihp` for the union; the protocol's when None. In
                 HumanNeRF's form the one folder of masks, `masks`.
@@ -70,7 +72,7 @@ class ZjuDataModule(HumanDataModule):
         alone = self._layout == "humannerf"
         if train_camera is None:
             train_camera = 0 if alone else preset.train_camera
-        asked = Selection(train_camera, test_cameras, train_frames, test_frames)
+        asked = Selection(train_camera, test_cameras, train_frames, test_frames, max_train_frames)
         asked_occlusion = OcclusionSettings.parse(occlusion)
         hidden = place_strip(preset, folder.name, asked_occlusion, own_frames=train_frames is not None)
         size = preset.image_size if image_size is None else image_size
