@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from occfusion.cpu.threads import SPINS, share_cores
+from occfusion.cpu.threads import LINEAR_ALGEBRA, SPINS, share_cores
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,7 @@ from occfusion.cpu.threads import SPINS, share_cores
 def test_the_user_s_choice_counts(
     given: dict[str, str], expected: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")  # put back afterwards
     for name in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY"):
         monkeypatch.delenv(name, raising=False)
     for name, value in given.items():
@@ -30,14 +31,27 @@ def test_the_user_s_choice_counts(
     assert os.environ.get("GOMP_SPINCOUNT") == expected
 
 
-def test_it_is_said_before_torch_is_imported() -> None:
-    """OpenMP reads it when it is loaded, and never again."""
+@pytest.mark.parametrize(("given", "expected"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
+def test_linear_algebra_has_one_thread_unless_the_user_gives_it_more(
+    given: dict[str, str], expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    share_cores()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == expected
+
+
+def test_it_is_said_before_libraries_are_imported() -> None:
+    """OpenMP and OpenBLAS read it when they are loaded, and never again."""
+    names = ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY", "OPENBLAS_NUM_THREADS")
     code = (
         "import sys, os, occfusion.__main__, occfusion.cli; "
-        "print('torch' in sys.modules, os.environ['GOMP_SPINCOUNT'])"
+        "print('torch' in sys.modules, 'numpy' in sys.modules, os.environ['GOMP_SPINCOUNT'], "
+        "os.environ['OPENBLAS_NUM_THREADS'])"
     )
-    environment = {k: v for k, v in os.environ.items() if k not in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")}
+    environment = {k: v for k, v in os.environ.items() if k not in names}
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
     )
-    assert done.stdout.split() == ["False", SPINS]
+    assert done.stdout.split() == ["False", "False", SPINS, LINEAR_ALGEBRA]

@@ -360,3 +360,20 @@ def test_of_a_long_sequence_a_part_is_looked_at_and_all_is_put_right(
     before, _ = off(whole_body, [look.pose for look in found], motion)
     across, _ = off(whole_body, poses, motion)
     assert across < 0.7 * before
+
+
+def test_alignment_is_the_same_for_any_number_of_threads(whole_body: Body) -> None:
+    given = wrong(0.06)
+    found, before = looks(whole_body, given, motion), torch.get_num_threads()
+    results = []
+    try:
+        for threads in (1, 3):
+            torch.set_num_threads(threads)
+            results.append(align_poses(found, whole_body, 6))
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    one, three = results
+    assert one is not None and three is not None and one.is_taken
+    for name, value in vars(one).items():
+        np.testing.assert_array_equal(value, getattr(three, name), err_msg=name)

@@ -1,4 +1,4 @@
-"""Threads of two kinds on the same cores: those of torch (OpenMP) and those of the compiled rasteriser."""
+"""Threads of several kinds on the same cores: of torch (OpenMP), of NumPy's linear algebra, of our own kernels."""
 
 from __future__ import annotations
 
@@ -10,13 +10,19 @@ SPINS = "10000"
 two threads then render no faster than one. Sleeping at once costs more than it gives, in torch's own operations."""
 
 
-def share_cores() -> None:
-    """Lets idle threads of torch leave their cores soon, unless the user has said how long they are to wait.
+LINEAR_ALGEBRA = "1"
+"""Threads of OpenBLAS, which NumPy and SciPy bring. What is solved here is small: a second thread that waits for its
+part takes the time of whatever else could run, and made the alignment of poses a fifth slower."""
 
-    GNU OpenMP reads this once, when torch is imported; later it has no effect on this process.
+
+def share_cores() -> None:
+    """Lets idle threads of torch leave their cores soon, and NumPy have one, unless the user has said otherwise.
+
+    GNU OpenMP and OpenBLAS read this once, when torch and NumPy are imported; later it has no effect on this process.
     """
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ.setdefault("GOMP_SPINCOUNT", SPINS)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", LINEAR_ALGEBRA)
 
 
 def usable_cores() -> int:

@@ -22,11 +22,19 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from occfusion.cpu.workers import spread
 from occfusion.geometry.rotation import matrix_to_quaternion
 from occfusion.human.body import Body
 from occfusion.human.pose_spline import PoseSpline
 from occfusion.observation.outline_system import OutlineSystem
-from occfusion.observation.pose_witness import POSE_COLUMNS, REACH, Look, misfits, observe_outline
+from occfusion.observation.pose_witness import (
+    POSE_COLUMNS,
+    REACH,
+    Look,
+    Witness,
+    misfits,
+    observe_outline,
+)
 from occfusion.types import Pose
 
 Floats = NDArray[np.float64]
@@ -222,22 +230,22 @@ class Aligner:
 
         By the masks of frames that it was not found by; nothing is taken where that is not worth it.
         """
-        errors = [
-            misfits(
-                self._body, self._looks[k], [tuple(a * part for part in self.correction(k)) for a in AMOUNTS]
-            )
-            for k in positions
-        ]
-        misfit = np.mean(errors, axis=0)
+
+        def errors(k: int) -> Floats:
+            amounts = [tuple(a * part for part in self.correction(k)) for a in AMOUNTS]
+            return misfits(self._body, self._looks[k], amounts)
+
+        misfit = np.mean(list(spread(errors, positions, torch.get_num_threads())), axis=0)
         best = int(misfit.argmin())
         gain = 1.0 - float(misfit[best]) / max(float(misfit[0]), 1e-12)
         return (AMOUNTS[best] if gain >= WORTH else 0.0), gain
 
     def _step(self, positions: Sequence[int], reach: float, registered: bool) -> bool:
-        found = [
-            (k, observe_outline(self._body, self._looks[k], self.correction(k), reach)) for k in positions
-        ]
-        seen = [(k, witness) for k, witness in found if witness is not None]
+        def witness_of(k: int) -> Witness | None:
+            return observe_outline(self._body, self._looks[k], self.correction(k), reach)
+
+        found = spread(witness_of, positions, torch.get_num_threads())
+        seen = [(k, witness) for k, witness in zip(positions, found, strict=True) if witness is not None]
         if len(seen) < min(LEAST_FRAMES, len(positions)):
             return False
         system = OutlineSystem(seen, self._weights, self._patch, self.values, registered)

@@ -147,6 +147,7 @@ def observe_outline(
     )
 
 
+@torch.no_grad()
 def misfits(body: Body, look: Look, corrections: Sequence[tuple[Floats, ...]]) -> Floats:
     """Returns how far the body and the mask of a frame differ under corrections of the pose, of the body's pixels.
 
