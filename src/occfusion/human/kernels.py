@@ -5,8 +5,6 @@ from __future__ import annotations
 from occfusion.human.rendering import Renderer
 
 PROGRAM = """
-import gc
-gc.disable()  # a tenth of the time, in a process that keeps what it makes
 from occfusion.human.kernels import compile_kernels
 from occfusion.human.rendering import Renderer
 compile_kernels(Renderer("numba"))

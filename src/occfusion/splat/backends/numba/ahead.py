@@ -19,9 +19,7 @@ from occfusion.cpu.threads import usable_cores
 from occfusion.splat.backends.numba.project import project_backward_part
 
 PROGRAM = """
-import gc
 from occfusion.splat.backends.numba.backend import compile_last
-gc.disable()  # a tenth of the time, in a process that keeps what it makes
 compile_last()
 """
 
