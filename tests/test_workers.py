@@ -6,7 +6,7 @@ import time
 import pytest
 import torch
 
-from occfusion.cpu.workers import spread
+from occfusion.cpu.workers import threaded_map
 
 
 @pytest.fixture(autouse=True)
@@ -24,8 +24,8 @@ def test_order_is_that_of_the_items(workers):
         time.sleep(0.02 if n % 3 == 0 else 0.0)
         return n * n
 
-    assert list(spread(late, range(10), workers)) == [n * n for n in range(10)]
-    assert list(spread(late, [], workers)) == []
+    assert list(threaded_map(late, range(10), workers)) == [n * n for n in range(10)]
+    assert list(threaded_map(late, [], workers)) == []
 
 
 def test_several_at_a_time_with_one_thread_of_torch_each():
@@ -35,7 +35,7 @@ def test_several_at_a_time_with_one_thread_of_torch_each():
         both.wait()  # passes only when two are here
         return torch.get_num_threads()
 
-    assert list(spread(meet, range(4), 2)) == [1, 1, 1, 1]
+    assert list(threaded_map(meet, range(4), 2)) == [1, 1, 1, 1]
 
 
 def test_items_are_taken_as_they_are_needed():
@@ -46,7 +46,7 @@ def test_items_are_taken_as_they_are_needed():
             taken.append(n)
             yield n
 
-    results = spread(lambda n: n, items(), 2)
+    results = threaded_map(lambda n: n, items(), 2)
     assert next(results) == 0
     assert len(taken) <= 4
     assert list(results) == list(range(1, 100))
@@ -59,4 +59,4 @@ def test_an_error_reaches_the_caller():
         return n
 
     with pytest.raises(ValueError, match="third"):
-        list(spread(fail, range(8), 2))
+        list(threaded_map(fail, range(8), 2))

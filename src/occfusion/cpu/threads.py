@@ -9,7 +9,6 @@ SPINS = "10000"
 300000, keeps a core busy for milliseconds after every operation of torch, and whatever else runs in parallel waits:
 two threads then render no faster than one. Sleeping at once costs more than it gives, in torch's own operations."""
 
-
 LINEAR_ALGEBRA = "1"
 """Threads of OpenBLAS, which NumPy and SciPy bring. What is solved here is small: a second thread that waits for its
 part takes the time of whatever else could run, and made the alignment of poses a fifth slower."""

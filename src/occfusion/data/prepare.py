@@ -126,7 +126,7 @@ class Prepared:
         people: what their masks show.
         hidden: the simulated occlusion of each, in pixels of the stored picture.
         left_out: training frames whose mask is empty.
-        offered: training frames of which those before were taken.
+        offered: how many training frames were asked for, before `max_train_frames` took some of them.
         test: held-out frames.
         camera: the camera trained on.
         cameras: held-out cameras.

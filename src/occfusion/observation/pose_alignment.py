@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from occfusion.cpu.workers import spread
+from occfusion.cpu.workers import threaded_map
 from occfusion.geometry.rotation import matrix_to_quaternion
 from occfusion.human.body import Body
 from occfusion.human.pose_spline import PoseSpline
@@ -235,7 +235,7 @@ class Aligner:
             amounts = [tuple(a * part for part in self.correction(k)) for a in AMOUNTS]
             return misfits(self._body, self._looks[k], amounts)
 
-        misfit = np.mean(list(spread(errors, positions, torch.get_num_threads())), axis=0)
+        misfit = np.mean(list(threaded_map(errors, positions, torch.get_num_threads())), axis=0)
         best = int(misfit.argmin())
         gain = 1.0 - float(misfit[best]) / max(float(misfit[0]), 1e-12)
         return (AMOUNTS[best] if gain >= WORTH else 0.0), gain
@@ -244,7 +244,7 @@ class Aligner:
         def witness_of(k: int) -> Witness | None:
             return observe_outline(self._body, self._looks[k], self.correction(k), reach)
 
-        found = spread(witness_of, positions, torch.get_num_threads())
+        found = threaded_map(witness_of, positions, torch.get_num_threads())
         seen = [(k, witness) for k, witness in zip(positions, found, strict=True) if witness is not None]
         if len(seen) < min(LEAST_FRAMES, len(positions)):
             return False
