@@ -31,7 +31,7 @@ def made_up_partial(size: int = 96, name: str = "frame 000003", beside: int = 0)
     alpha[rows, right : right + 2] = 0.5
     coarse = (alpha[..., None] * np.array(COARSE)).astype(np.float32)
     complete = alpha > 0.4
-    return Partial(observation, complete, coarse, alpha, coarse, alpha)
+    return Partial(observation, complete, coarse, alpha, lambda: coarse, alpha)
 
 
 def only_region(partial: Partial, kept: np.ndarray) -> Partial:

@@ -108,6 +108,26 @@ def test_occluded_frames_are_completed_and_the_others_passed_through(
         assert uncertainty.is_file() is observed_frame.evidence.occluded
 
 
+@pytest.mark.parametrize("most", [1, 3])
+def test_of_many_occluded_frames_some_are_completed_and_no_others_are_asked_for(
+    make: Make, data: ZjuDataModule, observed_frames: list[ObservedFrame], most: int
+) -> None:
+    occluded = [k for k, observed_frame in enumerate(observed_frames) if observed_frame.evidence.occluded]
+    assert len(occluded) > most
+    prior = CountingPrior(0.9)
+    stage = make(prior, max_frames=most)
+    chosen = stage.wanted
+    assert len(chosen) == most and set(chosen) <= set(occluded)
+    assert most == 1 or {chosen[0], chosen[-1]} == {occluded[0], occluded[-1]}
+    run(stage, data)
+    assert prior.asked == most  # neighbours that are not completed are no help in smoothing either
+    written = {path.name for path in stage.folder.path.glob("*.png")}
+    assert written == {stage.folder.picture(observed_frames[k].index).name for k in chosen}
+    assert stage.finish() == {"completed": most, "frames": len(observed_frames), "consistency": None}
+    whole = make(CountingPrior(0.9), max_frames=len(occluded))
+    assert len(whole.wanted) == len(observed_frames)
+
+
 def test_the_strip_of_the_first_frames_is_what_is_found(
     data: ZjuDataModule, observed_frames: list[ObservedFrame]
 ) -> None:

@@ -236,6 +236,45 @@ def test_the_whole_system_counts_hidden_masks_as_its_refinement_does() -> None:
     assert not used(settings_of("variant=B"), frames(*[0.0] * 12))["full mask term on hidden pixels"]
 
 
+@pytest.mark.parametrize(
+    ("overrides", "most"),
+    [
+        ((), 5),
+        (("init.max_frames=8",), None),  # all that are occluded
+        (("init.max_frames=null",), None),
+        (("plan=full",), None),
+        (("stage=init",), None),  # they are what was asked for
+        (("variant=B",), None),  # no refinement makes up for it: complete masks count fully
+        (("optim.hidden.target=complete",), None),
+        (("refine.hidden.target=complete",), None),
+        (("refine.hidden.target=complete", "refine.hidden.weight=0.5"), None),
+        (("refine.hidden.target=outline", "refine.hidden.weight=0.5"), 5),
+        (("refine.references.source=prior",), None),  # it is given complete masks
+    ],
+)
+def test_of_many_occluded_frames_some_get_masks_where_these_count_for_little(
+    overrides: tuple[str, ...], most: int | None
+) -> None:
+    observed_frames = frames(*[0.5] * 8, *[0.0] * 12)
+    plan = made(settings_of("init.max_frames=5", *overrides), observed_frames)
+    every = made(settings_of("init.max_frames=null", *overrides), observed_frames).settings
+    assert plan.settings.init.max_frames == most
+    # each counts for those that are not made
+    assert plan.settings.optim.hidden.weight == pytest.approx(
+        every.optim.hidden.weight * (8 / 5 if most else 1)
+    )
+    assert plan.settings.refine.hidden == every.refine.hidden
+    (decision,) = (d for d in plan.decisions if d.part == "complete masks")
+    assert decision.used and ("; 5 of 8 are completed" in decision.reason) == (most is not None)
+
+
+def test_no_mask_counts_for_more_than_was_tried() -> None:
+    observed_frames = frames(*[0.5] * 30, *[0.0] * 12)
+    assert as_planned(settings_of("init.max_frames=3"), observed_frames).optim.hidden.weight == 0.8
+    mended = frames(*[0.5] * 30, *[0.02] * 12)
+    assert as_planned(settings_of("init.max_frames=3"), mended).optim.hidden.weight == 0.0
+
+
 def test_a_full_plan_says_what_the_frames_hide_and_that_it_takes_all_for_occluded() -> None:
     observed_frames = with_everything(frames(*[0.0] * 9, *[0.5] * 3))
     plan = made(settings_of("plan=full"), observed_frames)

@@ -91,9 +91,26 @@ def test_references_may_count_only_where_nothing_is_known(
         sum(record[f"{name}_pixels"] for record in records.values()) for name in ("painted", "region")
     )
     assert 0 < counting < painted
-    name = next(name for name, record in records.items() if record["painted_pixels"])
+    name = next(name for name, record in records.items() if record["inpainted"])
     picture = read_rgb(folder / "inpainted" / f"{name}.png")
     assert (picture == (0, 255, 0)).all(axis=2).sum() >= records[name]["painted_pixels"]
+
+
+def test_of_a_long_sequence_what_training_sees_is_made(train: Train) -> None:
+    """Four of ten frames are seen by five steps of one stage and three of the other, and two masks are completed."""
+    steps = ("optim.steps=5", "refine.steps=3", "init.max_frames=2")
+    folder, _ = train(*SHORT, *steps, "refine.hidden.target=outline", "optim.hidden.target=none")
+    assert len(list((folder / "masks").glob("*.png"))) == 2
+    assert "2 of " in decisions(folder)["complete masks"]["reason"]
+    records = json.loads((folder / "inpainted" / "manifest.json").read_text())["frames"]
+    losses = (folder / "losses.csv").read_text()
+    assert 0 < len(records) <= 3 and "refine" in losses
+    again, _ = train(
+        *SHORT, *steps, "refine.hidden.target=outline", "optim.hidden.target=none", folder="again"
+    )
+    for stage in ("optim", "refine"):
+        ours, theirs = parameters(folder, stage), parameters(again, stage)
+        assert all(torch.equal(ours[name], theirs[name]) for name in ours)
 
 
 def test_a_frame_of_which_no_pixel_counts_is_not_inpainted(

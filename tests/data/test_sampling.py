@@ -78,6 +78,8 @@ def test_the_cache_stays_within_its_bound_and_keeps_what_it_has():
         for key in range(4):
             get(key)
     assert len(cache) == 2 and made.count(0) == made.count(1) == 1 and made.count(2) == made.count(3) == 3
+    few: BoundedCache[Block] = BoundedCache(100, max_items=1)
+    assert [few.get(key, lambda: Block(1)).nbytes for key in (0, 1, 0)] == [1, 1, 1] and len(few) == 1
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,15 @@ from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human import Avatar, Body, PoseSpline, embedded_body, load_avatar, save_avatar
 from occfusion.observation import pose_alignment
 from occfusion.observation.outline_system import OutlineSystem
-from occfusion.observation.pose_alignment import GROUPS, Aligner, align_poses, aligned_pose, spline_weights
+from occfusion.observation.pose_alignment import (
+    GROUPS,
+    Aligner,
+    align_poses,
+    aligned_pose,
+    frames_a_knot,
+    positions_looked_at,
+    spline_weights,
+)
 from occfusion.observation.pose_witness import Look, Witness, _Figure, observe_outline
 from occfusion.synth.disturb import move_edge
 from occfusion.types import Camera, Frame, Pose
@@ -225,7 +233,8 @@ def test_the_system_is_solved_as_stacked_least_squares(
 
 
 def aligned(body: Body, found: list[Look]) -> tuple[pose_alignment.Alignment, list[Pose]]:
-    alignment = align_poses(found, body, 4)
+    looked_at = [found[k] for k in positions_looked_at(len(found), 4)]
+    alignment = align_poses(looked_at, body, 4, frames=[look.index for look in found])
     assert alignment is not None
     spline = alignment.spline()
     return alignment, [aligned_pose(look.pose, spline, body) for look in found]
@@ -342,8 +351,7 @@ def test_an_aligned_spline_survives_its_file(body: Body, tmp_path) -> None:  # t
 def test_of_a_long_sequence_a_part_is_looked_at_and_all_is_put_right(
     whole_body: Body, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pose_alignment, "MOST_KNOTS", 8)
-    monkeypatch.setattr(pose_alignment, "LOOKS_A_KNOT", 2)
+    monkeypatch.setattr(pose_alignment, "LEAST_LOOKS", 8)
     seen: list[int] = []
 
     def watched(body: Body, look: Look, *rest: object) -> Witness | None:
@@ -360,6 +368,35 @@ def test_of_a_long_sequence_a_part_is_looked_at_and_all_is_put_right(
     before, _ = off(whole_body, [look.pose for look in found], motion)
     across, _ = off(whole_body, poses, motion)
     assert across < 0.7 * before
+
+
+def test_a_thinned_outline_has_every_second_point_and_all_of_each(whole_body: Body) -> None:
+    look = looks(whole_body, wrong(0.03), motion)[5]
+    witness = observe_outline(whole_body, look, (np.zeros((24, 3)), np.zeros(3)), 0.08)
+    assert witness is not None
+    half = witness.thinned(2)
+    assert (half.size, half.focal) == (witness.size, witness.focal)
+    for name in ("offsets", "turns", "shape", "picture", "per_metre", "vertices"):
+        np.testing.assert_array_equal(getattr(half, name), getattr(witness, name)[::2], err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("count", "every", "looks"),
+    [
+        (10, 4, 10),
+        (100, 4, 100),
+        (480, 4, 240),
+        (500, 5, 240),
+        (1000, 8, 250),
+        (2000, 8, 500),
+        (8000, 16, 1000),
+    ],
+)
+def test_knots_of_a_long_sequence_stay_near_each_other(count: int, every: int, looks: int) -> None:
+    positions = positions_looked_at(count, 4)
+    assert frames_a_knot(count, 4) == every and len(positions) == len(set(positions)) == looks
+    assert positions[0] == 0 and positions[-1] == count - 1
+    assert frames_a_knot(count, 20) == 20
 
 
 def test_alignment_is_the_same_for_any_number_of_threads(whole_body: Body) -> None:

@@ -56,7 +56,7 @@ def made_up_partial(size: int = 96) -> Partial:
     complete[int(0.2 * size) : int(0.8 * size), int(0.37 * size) : size // 2] = True
     alpha = complete.astype(np.float32)
     coarse = alpha[..., None] * np.array([0.1, 0.2, 0.7], np.float32)
-    return Partial(observation, complete, coarse, alpha, coarse, 0.5 * alpha)
+    return Partial(observation, complete, coarse, alpha, lambda: coarse, 0.5 * alpha)
 
 
 class Constant(Inpainter):

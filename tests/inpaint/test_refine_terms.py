@@ -18,6 +18,8 @@ from occfusion.human import embedded_body
 from occfusion.human.avatar import Avatar
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.partial import KNOWN
+from occfusion.observation.evidence import Evidence
+from occfusion.observation.frames import ObservedFrame
 from occfusion.quality import losses
 from occfusion.settings.stages import HiddenSettings, ReferenceSettings, RefineSettings
 from occfusion.stages.references import References
@@ -150,6 +152,40 @@ def test_mask_term_counts_what_is_neither_seen_nor_background_as_asked(
         )
         assert float(term) == pytest.approx(wanted / SIZE**2, rel=1e-5)
         torch.testing.assert_close(found, 2 * weights * (alpha - target).detach() / SIZE**2)
+
+
+@pytest.mark.parametrize("outlined", [False, True])
+def test_without_a_complete_mask_nothing_is_held_to_its_absence(
+    frame: Frame, references: References, outlined: bool
+) -> None:
+    """What no frame shows counts fully where a complete mask tells of it, and there alone."""
+    frame = dataclasses.replace(frame, complete_mask=None)
+    uncertain = ~mask_of(SEEN) & ~mask_of(ELSEWHERE)
+    outline = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(1)) > 0.5
+    stage = stage_of(references, {7: outline.numpy()} if outlined else None, hidden=0.25, pixels="unseen")
+    if not outlined:  # as `UncertainMasks.found` has it of a frame that is given no complete mask
+        stage.uncertain = UncertainMasks({7: uncertain.numpy()}, {7: uncertain.numpy()})
+    alpha = torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(0))
+    rendering = Rendering(torch.zeros(SIZE, SIZE, 3), alpha, torch.zeros(SIZE, SIZE), torch.zeros(0, 2))
+    term = stage.terms(frame, rendering, BOX)["mask"]
+    squares = torch.where(
+        uncertain, 0.25 * (alpha - outline.float()).square(), (alpha - mask_of(SEEN).float()).square()
+    )
+    if not outlined:
+        squares[uncertain] = 0.0
+    assert float(term) == pytest.approx(float(squares.mean()), rel=1e-5)
+
+
+def test_all_of_a_frame_without_a_complete_mask_is_uncertain() -> None:
+    nothing, hidden = np.zeros((4, 6), np.bool_), np.zeros((4, 6), np.bool_)
+    hidden[1:3] = True
+    background = ~hidden
+    background[1] = True
+    evidence = Evidence(nothing, background, hidden, 0.5, True, 0.0)
+    found = UncertainMasks.found([ObservedFrame(k, lambda: None, evidence) for k in (3, 5)], {1})  # type: ignore[arg-type,return-value]
+    assert (found.hidden[3] == hidden).all() and (found.hidden[5] == hidden).all()
+    assert (found.assumed_background[3] == hidden).all()
+    assert (found.assumed_background[5] == (hidden & background)).all()
 
 
 @pytest.mark.parametrize("pixels", ["unseen", "hidden"])

@@ -181,11 +181,12 @@ class HumanDataModule(L.LightningDataModule):
         """Returns the body parameters of a frame of the sequence."""
         return self._open()[1].pose(frame)
 
-    def use_complete_masks(self, path_of: Callable[[int], Path]) -> None:
-        """Gives the training frames complete masks, the paper's M-hat: read when a frame is, not before.
+    def use_complete_masks(self, path_of: Callable[[int], Path | None]) -> None:
+        """Gives training frames complete masks, the paper's M-hat: read when a frame is, not before.
 
         Args:
-            path_of: where the complete mask of a frame of the sequence lies, at the size of the frames.
+            path_of: where the complete mask of a frame of the sequence lies, at the size of the frames; None: it has
+                none.
         """
         self._open()[1].complete_masks = path_of
 
@@ -214,6 +215,10 @@ class HumanDataModule(L.LightningDataModule):
     def position_at(self, step: int) -> int:
         """Returns the position of the frame that training step `step` is given."""
         return self._open()[2].position_at(step)
+
+    def positions_until(self, steps: int) -> frozenset[int]:
+        """Returns the positions of the frames that the first `steps` training steps are given."""
+        return frozenset(self.position_at(step) for step in range(min(steps, len(self.train_indices))))
 
     def train_frames(self) -> Iterator[Frame]:
         """Yields all training frames in order, with the truth where it is known."""

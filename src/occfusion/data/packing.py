@@ -15,7 +15,7 @@ from occfusion.data.cameras import Lens
 from occfusion.data.scene import PictureFiles
 from occfusion.data.silhouette import Hidden, Silhouette, bounding_box, read_people, require_size
 from occfusion.errors import DataError
-from occfusion.fields.bits import unpacked
+from occfusion.fields import bits
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.types import Box
 
@@ -35,7 +35,7 @@ class Packed:
         whole: the unoccluded picture inside the box, black outside the complete mask; None if not known.
         visible: bits of the visible mask inside the box.
         complete: bits of the complete mask inside the box.
-        hidden: bits of the occluded pixels of the whole frame, other people's included; None where nothing is.
+        hidden: the occluded pixels of the whole frame, packed, other people's included; None where nothing is.
         certain: whether `hidden` is all that is occluded; not where real occluders are unknown.
     """
 
@@ -45,14 +45,15 @@ class Packed:
     whole: Bytes | None
     visible: Bytes
     complete: Bytes
-    hidden: Bytes | None
+    hidden: bits.Packed | None
     certain: bool = True
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
-        parts = (self.seen, self.whole, self.visible, self.complete, self.hidden)
-        return sum(part.nbytes for part in parts if part is not None)
+        """Bytes of all that is kept."""
+        parts = (self.seen, self.whole, self.visible, self.complete)
+        hidden = 0 if self.hidden is None else len(self.hidden[0])
+        return hidden + sum(part.nbytes for part in parts if part is not None)
 
     # Tensors are made by NumPy: PyTorch would start its thread pool anew in the thread that reads ahead,
     # and compete with the training step for the cores.
@@ -78,11 +79,11 @@ class Packed:
             return None
         if self.hidden is None:
             return torch.zeros(self.size[::-1], dtype=torch.bool)
-        return torch.from_numpy(unpacked((self.hidden, self.size[::-1])))
+        return torch.from_numpy(bits.unpacked(self.hidden))
 
-    def _unpack(self, bits: Bytes) -> Mask:
+    def _unpack(self, kept: Bytes) -> Mask:
         _, _, w, h = self.box
-        return unpacked((bits, (h, w)))
+        return bits.mask_of_bits(kept, (h, w))
 
     def _mask(self, bits: Bytes) -> Tensor:
         x, y, w, h = self.box
@@ -149,7 +150,7 @@ def pack(
         whole=None if whole is None else _blacken(whole[window], complete[window]),
         visible=np.packbits(visible[window]),
         complete=np.packbits(complete[window]),
-        hidden=None if hidden is None else np.packbits(hidden),
+        hidden=None if hidden is None else bits.packed(hidden),
         certain=not files.truth_unknown,
     )
 

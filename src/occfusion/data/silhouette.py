@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from occfusion.data.scene import PictureFiles
 from occfusion.errors import DataError
-from occfusion.fields.bits import unpacked
+from occfusion.fields.bits import mask_of_bits
 from occfusion.files.images import read_mask, read_numbers
 from occfusion.types import Box
 
@@ -47,7 +47,7 @@ class Silhouette:
     def crop(self) -> NDArray[np.bool_]:
         """Returns the mask inside the box."""
         _, _, w, h = self.box
-        return unpacked((self.bits, (h, w)))
+        return mask_of_bits(self.bits, (h, w))
 
     def columns(self) -> NDArray[np.int64]:
         """Returns the person's pixels in each column of the picture, `[W]`."""

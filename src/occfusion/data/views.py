@@ -43,8 +43,8 @@ class BoundedCache(Generic[T]):
     throw out exactly those that come next.
     """
 
-    def __init__(self, max_bytes: int) -> None:
-        self._left = max_bytes
+    def __init__(self, max_bytes: int, max_items: int | None = None) -> None:
+        self._left, self._max_items = max_bytes, max_items
         self._kept: dict[object, T] = {}
         self._lock = Lock()
 
@@ -54,7 +54,8 @@ class BoundedCache(Generic[T]):
         if found is None:
             found = make()
             with self._lock:
-                if key not in self._kept and found.nbytes <= self._left:
+                has_room = self._max_items is None or len(self._kept) < self._max_items
+                if key not in self._kept and has_room and found.nbytes <= self._left:
                     self._kept[key] = found
                     self._left -= found.nbytes
         return found
@@ -64,6 +65,8 @@ class BoundedCache(Generic[T]):
         return len(self._kept)
 
 
+MOST_CACHED = 1000
+"""Decoded frames: of more, a stage sees each about once, and reading it again costs less than keeping it."""
 _KEPT_LENSES = 3
 """Undistortion maps take 6 bytes a pixel and camera; held-out views are visited camera by camera."""
 
@@ -72,17 +75,17 @@ class Views:
     """Makes the frames of a prepared scene at one size.
 
     Attributes:
-        complete_masks: where the complete mask of a frame lies; None where no stage has made any.
+        complete_masks: where the complete mask of a frame lies, if it has one; None where no stage has made any.
         corrections: what the intrinsics of a camera lack, by its index, in pixels of the stored pictures.
     """
 
     def __init__(self, prepared: Prepared, image_size: int, cache_bytes: int) -> None:
         self._prepared = prepared
         self._image_size = image_size
-        self._cache: BoundedCache[Packed] = BoundedCache(cache_bytes)
+        self._cache: BoundedCache[Packed] = BoundedCache(cache_bytes, MOST_CACHED)
         self._lenses: dict[int, Lens] = {}
         self._parameters: dict[int, BodyParameters] = {}
-        self.complete_masks: Callable[[int], Path] | None = None
+        self.complete_masks: Callable[[int], Path | None] | None = None
         self._complete: dict[Path, bits.Packed] = {}
         self._lock = Lock()
         self.corrections: dict[int, Correction] = {}
@@ -103,9 +106,8 @@ class Views:
         files, lens = ready.scene.files(frame, ready.camera), self.lens_at(frame, ready.camera)
         packed = self._cache.get(position, lambda: pack(files, lens, hidden))
         made = self._frame(packed, frame, ready.camera, truth)
-        if self.complete_masks is None or not complete:
-            return made
-        return replace(made, complete_mask=self._complete_mask(self.complete_masks(frame), packed.size))
+        path = self.complete_masks(frame) if self.complete_masks is not None and complete else None
+        return made if path is None else replace(made, complete_mask=self._complete_mask(path, packed.size))
 
     def _complete_mask(self, path: Path, size: tuple[int, int]) -> Tensor:
         width, height = size

@@ -75,9 +75,12 @@ def box_of(pixels: NDArray[np.floating], width: int, height: int) -> Box:
         width: of the picture.
         height: of the picture.
     """
-    ends = np.clip(pixels[np.isfinite(pixels).all(axis=1)], 0.0, [width, height])
-    if not len(ends):
+    finite = pixels
+    if not np.isfinite(pixels).all():
+        finite = pixels[np.isfinite(pixels).all(axis=1)]
+    if not len(finite):
         return 0, 0, 1, 1
-    low = np.minimum(np.floor(ends.min(axis=0)), [width - 1, height - 1]).astype(int)
-    high = np.maximum(np.ceil(ends.max(axis=0)).astype(int), low + 1)
+    least, most = (np.clip(end, 0.0, [width, height]) for end in (finite.min(axis=0), finite.max(axis=0)))
+    low = np.minimum(np.floor(least), [width - 1, height - 1]).astype(int)
+    high = np.maximum(np.ceil(most).astype(int), low + 1)
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,7 +37,7 @@ class Partial:
         complete: the person's mask: M-hat where a stage made it, else M; bool `[H, W]`.
         coarse: the coarse rendering over black, `[H, W, 3]`, 0..1.
         alpha: its occupancy, `[H, W]`, 0..1.
-        gathered: the avatar in the colours that the whole video shows of it, over black, `[H, W, 3]`, 0..1.
+        draw_gathered: draws the avatar in the colours that the whole video shows of it.
         seen: how well each place of the avatar is known from the video, times its occupancy, `[H, W]`, 0..1.
     """
 
@@ -45,8 +45,13 @@ class Partial:
     complete: Mask
     coarse: Picture
     alpha: Picture
-    gathered: Picture
+    draw_gathered: Callable[[], Picture]
     seen: Picture
+
+    @property
+    def gathered(self) -> Picture:
+        """The avatar in the colours that the whole video shows of it, over black, `[H, W, 3]`, 0..1; drawn for it."""
+        return self.draw_gathered()
 
     @property
     def region(self) -> Mask:
@@ -87,7 +92,11 @@ def take_partial(
         return made.rgb.clamp(0.0, 1.0).cpu().numpy(), made.alpha.cpu().numpy()
 
     coarse, alpha = render(cloud.colors)
-    gathered, _ = render(accumulated.colors.to(cloud.colors))
+
+    @torch.no_grad()
+    def gathered() -> Picture:
+        return render(accumulated.colors.to(cloud.colors))[0]
+
     seen, _ = render(accumulated.seen.to(cloud.colors)[:, None].expand(-1, 3).contiguous())
     mask = frame.visible_mask if frame.complete_mask is None else frame.complete_mask
     return Partial(observation, mask.cpu().numpy(), coarse, alpha, gathered, seen[..., 0])

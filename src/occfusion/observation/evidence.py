@@ -42,7 +42,7 @@ SLIVER_SHARE = 3 * FITTING
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of a frame; masks are kept as bits.
+    """What is known of a frame; masks are kept packed.
 
     Attributes:
         hidden: pixels inside the body that do not show the person, bool `[H, W]`.
@@ -79,20 +79,36 @@ def gather_evidence(bodies: Collection[Mask], visible: Collection[Mask]) -> list
         bodies: the body's projection in each frame, bool `[H, W]`.
         visible: the paper's M of each.
     """
-    cores, outside = [], []
-    for body, seen in zip(bodies, visible, strict=True):
+    windows, cores, outside = [], [], []
+    for whole_body, whole_seen in zip(bodies, visible, strict=True):
+        windows.append(window := _window(whole_body, whole_seen))
+        body, seen = whole_body[window], whole_seen[window]
         hidden, share = _hidden(body, seen, CORE * person_size(body))
         cores.append((packed(hidden), share))
         outside.append(_outside_share(body, seen))
     missed = misfit([miss for miss, (_, share) in zip(outside, cores, strict=True) if share <= HIDDEN_SHARE])
     fits = missed is not None and missed < FITTING
     found = []
-    for body, seen, (kept, share), miss in zip(bodies, visible, cores, outside, strict=True):
-        hidden, size = unpacked(kept), person_size(body)
-        background = ~seen & ~_unknown(_hidden_part(hidden, body, seen, size), seen, size)
-        maybe = _maybe_hidden(body, seen, size, fits)
+    for whole_body, whole_seen, window, (kept, share), miss in zip(
+        bodies, visible, windows, cores, outside, strict=True
+    ):
+        body, seen = whole_body[window], whole_seen[window]
+        own_hidden, size = unpacked(kept), person_size(body)
+        hidden, background, maybe = np.zeros_like(whole_seen), ~whole_seen, np.zeros_like(whole_seen)
+        hidden[window] = own_hidden
+        background[window] = ~seen & ~_unknown(_hidden_part(own_hidden, body, seen, size), seen, size)
+        maybe[window] = _maybe_hidden(body, seen, size, fits)
         found.append(Evidence(hidden, background, maybe, share, share > HIDDEN_SHARE, miss))
     return found
+
+
+def _window(body: Mask, seen: Mask) -> tuple[slice, slice]:
+    """Returns the rows and columns in which something may be hidden: about the body and what is seen, with room."""
+    room = 2 + int(np.ceil(max(REACH, AROUND, GROWTH * CORE) * person_size(body)))
+    there = body | seen
+    spans = (np.flatnonzero(there.any(axis=1)), np.flatnonzero(there.any(axis=0)))
+    rows, columns = (slice(max(0, s[0] - room), s[-1] + 1 + room) if len(s) else slice(0, 0) for s in spans)
+    return rows, columns
 
 
 def misfit(outside_shares: Sequence[float]) -> float | None:

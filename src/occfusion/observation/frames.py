@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,14 +14,17 @@ from numpy.typing import NDArray
 from occfusion.errors import DataError
 from occfusion.fields.bits import PackedMasks
 from occfusion.geometry.camera import project_vertices
+from occfusion.geometry.sampled_mesh import SampledMesh, box_of
 from occfusion.human.body import Body
-from occfusion.observation.bodyview import view_body
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import FITTING, Evidence, gather_evidence, misfit
 from occfusion.observation.keypoints import face_vertices, keypoints_3d
 from occfusion.types import Camera, Frame, Pose
 
 Mask = NDArray[np.bool_]
+
+LATELY_POSED = 8
+"""Bodies that are kept: whoever goes through a video asks for a frame's several times, and for its neighbours'."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class PosedBody(NamedTuple):
 class ObservedFrame:
     """What is known of a training frame.
 
-    Its body is posed anew when it is asked for: kept, those of a long video would take half a megabyte a frame.
+    Its body is posed when it is asked for: kept, those of a long video would take half a megabyte a frame.
 
     Attributes:
         index: number of the frame in the sequence.
@@ -119,11 +122,20 @@ def observe_frames(frames: Iterable[Frame], body: Body) -> list[ObservedFrame]:
     face, faces = face_vertices(body), body.faces.cpu().numpy()
     bodies, seen = PackedMasks(), PackedMasks()
     known: list[tuple[int, Callable[[], PosedBody]]] = []
+    views: list[tuple[Pose, Camera]] = []
+
+    @lru_cache(LATELY_POSED)
+    def posed_at(position: int) -> PosedBody:
+        return _pose(body, *views[position], face)
+
     for frame in frames:
         camera = frame.camera.to("cpu")
-        posed = partial(_pose, body, frame.pose.to("cpu"), camera, face)
+        posed = partial(posed_at, len(views))
+        views.append((frame.pose.to("cpu"), camera))
         pixels, depths = (projected := posed().projected).pixels, projected.depths
-        covered = view_body(pixels, depths, faces, camera.width, camera.height).coverage > 0.5
+        x, y, w, h = box = box_of(pixels, camera.width, camera.height)
+        covered = np.zeros((camera.height, camera.width), np.bool_)
+        covered[y : y + h, x : x + w] = SampledMesh.draw(pixels, depths, faces, box).coverage > 0.5
         if not covered.any():
             raise DataError(
                 f"frame {frame.name}: the body lies outside the picture or behind the camera; check its "

@@ -14,6 +14,7 @@ misfit of them is not taken for misfit of poses.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -62,8 +63,12 @@ CERTAIN = 5.0
 """Standard deviations from which on pictures are certainly shifted or scaled, as in `data.registration`."""
 FULL_TURN, FULL_PLACE = 0.02, 0.01
 """Radians and metres: spreads from which on training may move poses as fast as its rates say."""
-MOST_KNOTS, LOOKS_A_KNOT = 60, 4
-"""Knots of a long sequence, and the frames that are looked at for each: more say the same again, and cost as much."""
+FULL_KNOTS, WIDEST, MOST_KNOTS = 120, 8, 500
+"""Knots from which on they lie farther apart, up to so many frames; knots from which on farther still. What an
+estimator gets wrong changes within some frames: with 17 from knot to knot next to nothing of it was found."""
+LEAST_LOOKS, LOOKS_A_KNOT = 240, 2
+"""Frames that are looked at of a long sequence, and for each knot: more say the same again, and cost as much
+(docs/experiments/049-long-videos.md)."""
 AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the correction, that are tried on frames that it was not found by."""
 WORTH = 0.1
@@ -163,13 +168,20 @@ class Aligner:
         body: of their poses.
         every: frames from one knot to the next.
         registered: shift and scale of the pictures are known: cameras are corrected.
+        frames: numbers of the frames of the sequence, where more than the looks are to be aligned.
     """
 
-    def __init__(self, looks: Sequence[Look], body: Body, every: int, *, registered: bool = False) -> None:
-        every = max(every, -(-len(looks) // MOST_KNOTS))
-        self._spline = PoseSpline.over([look.index for look in looks], every)
-        count = min(len(looks), LOOKS_A_KNOT * MOST_KNOTS)
-        looks = [looks[k] for k in np.linspace(0, len(looks) - 1, count).round().astype(int)]
+    def __init__(
+        self,
+        looks: Sequence[Look],
+        body: Body,
+        every: int,
+        *,
+        registered: bool = False,
+        frames: Sequence[int] | None = None,
+    ) -> None:
+        frames = [look.index for look in looks] if frames is None else frames
+        self._spline = PoseSpline.over(frames, frames_a_knot(len(frames), every))
         self._looks, self._body, self._registered = looks, body, registered
         self._weights = np.stack([spline_weights(self._spline, look.index) for look in looks])
         self._knots = self._spline.knots
@@ -241,8 +253,11 @@ class Aligner:
         return (AMOUNTS[best] if gain >= WORTH else 0.0), gain
 
     def _step(self, positions: Sequence[int], reach: float, registered: bool) -> bool:
+        each = max(1, len(positions) // LEAST_LOOKS)  # so that memory does not grow with the looks
+
         def witness_of(k: int) -> Witness | None:
-            return observe_outline(self._body, self._looks[k], self.correction(k), reach)
+            witness = observe_outline(self._body, self._looks[k], self.correction(k), reach)
+            return witness if witness is None or each == 1 else witness.thinned(each)
 
         found = threaded_map(witness_of, positions, torch.get_num_threads())
         seen = [(k, witness) for k, witness in zip(positions, found, strict=True) if witness is not None]
@@ -285,19 +300,41 @@ class Aligner:
 
 
 def align_poses(
-    looks: Sequence[Look], body: Body, every: int, *, registered: bool = False
+    looks: Sequence[Look],
+    body: Body,
+    every: int,
+    *,
+    registered: bool = False,
+    frames: Sequence[int] | None = None,
 ) -> Alignment | None:
     """Returns what outlines say of the poses of training frames; None where they tell too little.
 
     Args:
-        looks: at the training frames, in order of time.
+        looks: at training frames, in order of time; of a long sequence those of `positions_looked_at` are enough.
         body: of their poses.
         every: frames from one knot to the next; more where the sequence is long.
         registered: shift and scale of the pictures are known: cameras are corrected.
+        frames: numbers of all training frames; None: those that are looked at.
     """
     if len(looks) < LEAST_FRAMES:
         return None
-    return Aligner(looks, body, every, registered=registered).run()
+    return Aligner(looks, body, every, registered=registered, frames=frames).run()
+
+
+def frames_a_knot(count: int, every: int) -> int:
+    """Returns how many of so many frames lie between knots: `every`, and more of a long sequence."""
+    return max(every, min(WIDEST, math.ceil(count / FULL_KNOTS)), math.ceil(count / MOST_KNOTS))
+
+
+def positions_looked_at(count: int, every: int) -> list[int]:
+    """Returns which of so many training frames are looked at: some of a long sequence, from its first to its last.
+
+    Args:
+        count: of the frames.
+        every: frames from one knot to the next, as asked for.
+    """
+    wanted = min(count, max(LEAST_LOOKS, LOOKS_A_KNOT * math.ceil(count / frames_a_knot(count, every))))
+    return np.linspace(0, count - 1, wanted).round().astype(int).tolist()
 
 
 def spline_weights(spline: PoseSpline, frame: float) -> Floats:

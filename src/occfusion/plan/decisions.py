@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from occfusion.data.sampling import evenly
 from occfusion.data.scene_registration import SceneRegistration
 from occfusion.human.observability import ObservedSurface
 from occfusion.observation.evidence import FITTING
@@ -28,6 +29,10 @@ TURNED = 33.0
 """Degrees of turning from which the surface is not closed. Embedded people who face the camera within 15 degrees to
 both sides have 23 (their limbs turn too), the man of the real clip 13, those who turn half round or more 43: closing
 costs exact scenes of those 0.2 dB (docs/experiments/026-surface.md)."""
+
+
+BOXES_MEASURED = 300
+"""Training frames at most, evenly spread, that say how much of the pictures the body's box is."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +198,7 @@ def box_reason(observed_frames: Sequence[ObservedFrame] | None) -> str:
     if not observed_frames:
         return reason
     shares = []
-    for observed_frame in observed_frames:
+    for observed_frame in evenly(observed_frames, BOXES_MEASURED):
         height, width = observed_frame.evidence.hidden.shape
         pixels = observed_frame.projected.pixels
         low = np.clip(pixels.min(axis=0) - BOX_PADDING, 0, (width, height))

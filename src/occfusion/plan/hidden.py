@@ -27,6 +27,8 @@ MUCH_UNSEEN = 0.2
 9 % unseen, those who do not turn 40 to 55 % (docs/experiments/027-completion.md)."""
 FITTING_WEIGHT = 0.2
 """Of complete masks on hidden pixels where poses fit as given: these masks are nearly right there."""
+LARGEST_WEIGHT = 0.8
+"""Of masks that stand for others: what 20 for 80 had when it was tried (docs/experiments/049-long-videos.md)."""
 
 
 def stage_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
@@ -45,11 +47,45 @@ def stage_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame]
     return decisions
 
 
-def mask_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
-    """Returns whether any mask is completed."""
+def mask_decision(
+    settings: Settings, observed_frames: Sequence[ObservedFrame] | None, most: int | None = None
+) -> Decision:
+    """Returns whether any mask is completed; `most` is of `masks_at_most`."""
     if observed_frames is None or "init" not in settings.variant.stages:
         return Decision("complete masks", False, f"variant {settings.variant.name} trains on visible masks")
-    return Decision("complete masks", _occluded(observed_frames) > 0, _hidden_reason(observed_frames))
+    reason, count = _hidden_reason(observed_frames), _occluded(observed_frames)
+    if most is not None:
+        reason += (
+            f"; {most} of {count} are completed, evenly spread (init.max_frames): other frames tell better"
+        )
+    return Decision("complete masks", count > 0, reason)
+
+
+def masks_at_most(
+    settings: Settings,
+    observed_frames: Sequence[ObservedFrame] | None,
+    hidden: Sequence[HiddenSettings],
+    inpainter: Decision,
+) -> int | None:
+    """Returns how many masks are completed where that is not one for each occluded frame.
+
+    Where other frames tell better what is hidden, masks of 40 of 1000 frames do what all do, and 20 of 80
+    (docs/experiments/049-long-videos.md). All are made where nothing is trained on them: they are what was asked for.
+
+    Args:
+        settings: as the user asked.
+        observed_frames: of the training frames.
+        hidden: of both stages, as `hidden_policies` decided: where complete masks count fully, all are made.
+        inpainter: of `reference_decision`: a prior that paints references is given complete masks.
+    """
+    most = settings.init.max_frames
+    are_asked = "complete" in (settings.optim.hidden.target, settings.refine.hidden.target)
+    is_trained = any(stage != "init" for stage in stages_to_run(settings))
+    counts_fully = any(of_stage.effective_weight == 1.0 for of_stage in hidden)
+    are_all_needed = inpainter.used or counts_fully or are_asked or not is_trained
+    if most is None or observed_frames is None or are_all_needed or _occluded(observed_frames) <= most:
+        return None
+    return most
 
 
 def inpainting_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
@@ -95,8 +131,8 @@ def generated_decision(settings: Settings, observed_frames: Sequence[ObservedFra
 def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
     """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order.
 
-    Where no frame is occluded, neither has anything to add to what is seen. Nor has either where every occluded frame
-    gets a complete mask, most of them show some of the person, and a refinement follows: both are left out then.
+    Where no frame is occluded, neither has anything to add to what is seen. Nor has either where occluded frames
+    get complete masks, most of them show some of the person, and a refinement follows: both are left out then.
     Variants without a refinement, which are there to show the terms, keep them.
     """
     sds = settings.optim.sds
@@ -113,7 +149,7 @@ def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] |
         shares = [f.evidence.hidden_share for f in observed_frames if f.evidence.occluded]
         median = float(np.median(shares))
         if median <= MOSTLY_HIDDEN:
-            known = f"all {len(shares)} occluded frames get complete masks, and half of them show at least"
+            known = f"masks of {len(shares)} occluded frames are completed, and half of these show at least"
             known += f" {1 - median:.0%} of the body: it changed nothing then"
             reasons = [f"{reason}; {known}" for reason in reasons]
             used = [False, False]
@@ -155,6 +191,24 @@ def hidden_policies(
         own = HiddenSettings("outline") if fits else doubted
         refine = full if settings.plan == "full" else own
     return tuple(replace(each, weight=each.effective_weight) for each in (optim, refine))  # type: ignore[return-value]
+
+
+def weighed_for_few(
+    hidden: HiddenSettings, observed_frames: Sequence[ObservedFrame] | None, most: int | None
+) -> HiddenSettings:
+    """Returns what the optimisation holds hidden pixels to where some masks stand for all: each counts for others too.
+
+    Args:
+        hidden: of the optimisation, as `hidden_policies` decided.
+        observed_frames: of the training frames.
+        most: of `masks_at_most`.
+    """
+    if most is None or observed_frames is None or hidden.target != "complete":
+        return hidden
+    weight = hidden.effective_weight
+    return replace(
+        hidden, weight=max(weight, min(LARGEST_WEIGHT, weight * _occluded(observed_frames) / most))
+    )
 
 
 def hidden_mask_decision(

@@ -38,9 +38,11 @@ from occfusion.plan.hidden import (
     hidden_policies,
     inpainting_decision,
     mask_decision,
+    masks_at_most,
     reference_decision,
     sds_decisions,
     stage_decisions,
+    weighed_for_few,
 )
 from occfusion.settings.schema import Settings, stages_to_run
 from occfusion.settings.stages import AvatarSettings, HiddenSettings, SurfaceSettings
@@ -132,6 +134,8 @@ def make_plan(
     inpainting = inpainting_decision(settings, observed_frames)
     inpainter = reference_decision(settings, inpainting)
     hidden = hidden_policies(settings, observed_frames, alignment)
+    most = masks_at_most(settings, observed_frames, hidden, inpainter)
+    hidden = (weighed_for_few(hidden[0], observed_frames, most), hidden[1])
     perceptual = perceptual_decision("optim", optim, steps_of(settings, optim))
     refined_perceptual = perceptual_decision("refine", refine, steps_of(settings, refine))
     if is_perceptual_term_deferred(settings, refined_perceptual):
@@ -149,12 +153,12 @@ def make_plan(
         *distillation, *networks, lamp, start, completed, perceptual, closed, rounds, inpainter,
         refined_perceptual, refined_closed, refined_rounds,
     )  # fmt: skip
-    effective = _effective(settings, hidden, {decision.part: decision.used for decision in decided})
+    effective = _effective(settings, most, hidden, {decision.part: decision.used for decision in decided})
 
     plan = [
         registration_decision(registered),
         *stages,
-        mask_decision(settings, observed_frames),
+        mask_decision(settings, observed_frames, most),
         inpainting,
         inpainter,
     ]
@@ -187,7 +191,10 @@ def make_plan(
 
 
 def _effective(
-    settings: Settings, hidden: tuple[HiddenSettings, HiddenSettings], used: Mapping[str, bool]
+    settings: Settings,
+    most: int | None,
+    hidden: tuple[HiddenSettings, HiddenSettings],
+    used: Mapping[str, bool],
 ) -> Settings:
     """Returns the settings without what the decisions leave out; `used` says of each part whether it stays."""
     optim, refine = settings.optim, settings.refine
@@ -221,7 +228,7 @@ def _effective(
         densify=used["densification in the refinement"],
         surface=refine.surface if used["surface prior in refine"] else NO_SURFACE,
     )
-    return replace(settings, optim=optim, refine=refine)
+    return replace(settings, init=replace(settings.init, max_frames=most), optim=optim, refine=refine)
 
 
 def precision_decisions(settings: Settings, plan: Sequence[Decision], device: torch.device) -> list[Decision]:

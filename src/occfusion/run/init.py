@@ -17,7 +17,7 @@ from occfusion.priors.build_prior import make_mask_prior
 from occfusion.priors.masks import MaskPrior, TruthMasks
 from occfusion.run.training import AvatarTraining, tell_damage, training_truths
 from occfusion.settings.schema import Settings
-from occfusion.stages.init import InitStage
+from occfusion.stages.init import InitStage, frames_to_complete
 
 
 def complete_masks(training: AvatarTraining, avatar: Avatar) -> Avatar:
@@ -31,7 +31,10 @@ def complete_masks(training: AvatarTraining, avatar: Avatar) -> Avatar:
     """
     if not is_helper():  # masks are complete before the helpers are started
         _complete(training, avatar.body)
-    training.data.use_complete_masks(training.folder.masks.picture)
+    frames = training.observed_frames
+    chosen = frames_to_complete(frames, training.planned.init.max_frames)
+    masked, path_of = {frames[k].index for k in chosen}, training.folder.masks.picture
+    training.data.use_complete_masks(lambda frame: path_of(frame) if frame in masked else None)
     return avatar
 
 
@@ -40,11 +43,11 @@ def _complete(training: AvatarTraining, body: Body) -> None:
     read, frames = partial(data.train_frame, truth=False), training.observed_frames
     prior = make_prior(settings, data, training.renderer.device)
     identity = {"data": training.data_hash} | ({"aligned": training.aligned} if training.aligned else {})
-    stage = InitStage(prior, body, frames, read, settings.init, folder.masks, identity)
+    stage = InitStage(prior, body, frames, read, training.planned.init, folder.masks, identity)
     progress, own = settings.trainer.enable_progress_bar, folder.stage(stage.name)
     record = own.record
     if settings.trainer.fast_dev_run:  # the one frame that the trial step of each process will see
-        seen = {data.position_at(step) for step in range(settings.trainer.devices)}
+        seen = data.positions_until(settings.trainer.devices)
         stage.complete([k for k in stage.wanted if k in seen], progress=progress)
         return
     wanted = stage.wanted

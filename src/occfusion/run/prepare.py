@@ -13,7 +13,7 @@ import torch
 from occfusion.cpu.memory import return_memory
 from occfusion.cpu.processes import is_helper, local_rank
 from occfusion.data.module import HumanDataModule
-from occfusion.data.sampling import spread
+from occfusion.data.sampling import evenly, spread
 from occfusion.data.scene_registration import SceneRegistration
 from occfusion.files.atomic import write_json
 from occfusion.files.run_folder import RunFolder
@@ -25,7 +25,7 @@ from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.inpaint.completion_net import check_completion_net
 from occfusion.observation.frames import ObservedFrame, observe_frames
 from occfusion.observation.key_light import KeyLight, find_key_light
-from occfusion.observation.pose_alignment import Alignment, align_poses, aligned_pose
+from occfusion.observation.pose_alignment import Alignment, align_poses, aligned_pose, positions_looked_at
 from occfusion.observation.pose_witness import Look
 from occfusion.perceptual import load_perceptual, training_dtype
 from occfusion.plan.decisions import is_alignment_asked, may_leave_out_networks
@@ -43,11 +43,12 @@ from occfusion.run.refine import refine
 from occfusion.run.sequence import record_sequence
 from occfusion.run.training import AvatarTraining
 from occfusion.settings.schema import Settings
+from occfusion.stages.init import frames_to_complete
 from occfusion.stages.targets import UncertainMasks
 from occfusion.types import Frame
 
 COVERAGE_VIEWS = 300
-"""Training views that the body is held against, evenly spread; at 256 px a view takes about 20 ms."""
+"""Training views that the body is held against at most, evenly spread; at 256 px a view takes about 20 ms."""
 
 
 @dataclass(frozen=True)
@@ -182,8 +183,10 @@ def _register_and_align(
     """
 
     def align(*, registered: bool) -> Alignment | None:
-        looks = [Look.at(data.train_frame(k, truth=False)) for k in range(len(data.train_indices))]
-        return align_poses(looks, body, settings.optim.pose_knots, registered=registered)
+        knots = settings.optim.pose_knots
+        positions = positions_looked_at(len(data.train_indices), knots)
+        looks = [Look.at(data.train_frame(k, truth=False)) for k in positions]
+        return align_poses(looks, body, knots, registered=registered, frames=data.train_indices)
 
     is_off = settings.registration == "off"
     alignment = align(registered=is_off) if is_alignment_asked(settings) else None
@@ -214,7 +217,8 @@ def _observe_surface(
     known = observe_surface(coverage.coverage, vertices, faces)
     thickness = measure_thickness(observed_frames, partial(data.train_frame, truth=False), body)
     focal = float(data.train_frame(0, truth=False).camera.K[0, 0])
-    depth = float(np.median([np.median(frame.projected.depths) for frame in observed_frames]))
+    depths = [np.median(frame.projected.depths) for frame in evenly(observed_frames, COVERAGE_VIEWS)]
+    depth = float(np.median(depths))
     ignorance, turn = (
         float(np.average(of, weights=coverage.areas)) for of in (known.ignorance, known.turns())
     )
@@ -304,6 +308,7 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         metric = perceptual.with_dtype(precision)
         evaluating = evaluation_metric(settings.evaluation, perceptual)
     frames = observed.frames or []
+    completed = frames_to_complete(frames, plan.settings.init.max_frames) if "init" in plan.stages else None
     is_aligned = observed.alignment is not None and observed.alignment.is_taken
     training = AvatarTraining(
         settings=settings,
@@ -313,7 +318,7 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         data_hash=observed.data_hash,
         held_out_hash=observed.held_out_hash,
         observed_frames=frames,
-        uncertain=UncertainMasks.found(frames),
+        uncertain=UncertainMasks.found(frames, None if completed is None else frozenset(completed)),
         surface=observed.surface,
         metric=metric,
         evaluation_metric=evaluating,

@@ -23,6 +23,9 @@ from occfusion.stages.references import References
 from occfusion.stages.refine import RefineStage
 from occfusion.stages.targets import Masks
 
+GATHERED_FROM = 300
+"""Frames at most that say which of the avatar's places the video shows, and in what colours."""
+
 
 def refine(training: AvatarTraining, avatar: Avatar) -> Avatar:
     """Trains the avatar of the optimisation on, with references for what no frame shows.
@@ -73,11 +76,22 @@ def _outlines(training: AvatarTraining, avatar: Avatar) -> Masks:
     """Returns what the avatar covers by more than half in the frames with a doubt, bool `[H, W]`."""
     outlines = PackedMasks()
     avatar.eval()
+    visited = _visited(training)
     for position, observed_frame in enumerate(training.observed_frames):
-        if observed_frame.index in training.uncertain.hidden:
+        if position in visited and observed_frame.index in training.uncertain.hidden:
             frame = training.data.train_frame(position, truth=False)
             outlines.put(frame.index, training.renderer.outline(avatar, frame).cpu().numpy())
     return outlines
+
+
+def _visited(training: AvatarTraining) -> frozenset[int]:
+    """Returns positions of the frames that the refinement sees: of a long sequence not all, but with `plan=full`."""
+    settings, count = training.planned, len(training.data.train_indices)
+    if settings.trainer.fast_dev_run:
+        return training.data.positions_until(settings.trainer.devices)
+    if settings.plan == "full":
+        return frozenset(range(count))
+    return training.data.positions_until(steps_of(settings, settings.refine) * settings.trainer.devices)
 
 
 def make_references(
@@ -104,11 +118,10 @@ def make_references(
     stage = InpaintStage(
         inpainter, avatar.eval(), observed_frames, folder.inpainted, identity, renderer, pixels
     )
-    stage.accumulated = training.accumulate(avatar, len(observed_frames))
+    stage.accumulated = training.accumulate(avatar, GATHERED_FROM)
     paint_unseen(avatar, training.complete(avatar, stage.accumulated))
-    wanted = stage.wanted
-    if settings.trainer.fast_dev_run:  # the one frame that the trial step will see
-        wanted = [k for k in wanted if k == data.position_at(0)]
+    visited = _visited(training)
+    wanted = [k for k in stage.wanted if k in visited]
     read = partial(data.train_frame, truth=False, complete=True)
     stage.treat(read, wanted, progress=settings.trainer.enable_progress_bar)
     seconds = time.monotonic() - started

@@ -45,6 +45,12 @@ class InitSettings:
         0.5, "weight of the frame before and of the frame after, beside 1 for the frame itself", 0, 10
     )
     calibrate: bool = setting(True, "fit the prior's answers to the scene on what the scene shows")
+    max_frames: int | None = setting(
+        120,
+        "of more occluded frames so many are completed, evenly spread, where other frames tell better; null: all",
+        1,
+        MANY,
+    )
 
 
 @dataclass

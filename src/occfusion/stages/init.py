@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from occfusion.data.sampling import evenly
 from occfusion.files.atomic import write_png
 from occfusion.files.images import read_mask
 from occfusion.files.run_folder import FrameFolder, frame_name
@@ -25,18 +26,32 @@ REMEMBERED = 3
 """Positions to either side whose probabilities are kept for smoothing."""
 
 
+def frames_to_complete(observed_frames: Sequence[ObservedFrame], most: int | None) -> list[int]:
+    """Returns positions of the frames that are given complete masks: all, or of more occluded ones so many.
+
+    Args:
+        observed_frames: of all training frames, in order.
+        most: occluded frames, evenly spread; frames of a whole person are left out then. None: all frames.
+    """
+    occluded = [k for k, observed_frame in enumerate(observed_frames) if observed_frame.evidence.occluded]
+    return (
+        list(range(len(observed_frames))) if most is None or len(occluded) <= most else evenly(occluded, most)
+    )
+
+
 class InitStage(FramewiseStage):
     """Completes the mask of each frame whose person is occluded, and writes it; run by `Trainer.predict`.
 
     Frames of a whole person are passed through: their mask is written as it is and no prior is asked. What is
-    written already by the same prior on the same data is not computed again.
+    written already by the same prior on the same data is not computed again. Of a long sequence only some frames are
+    treated: see `frames_to_complete`.
 
     Args:
         prior: completes masks.
         body: the body of the data set.
         observed_frames: of all training frames, in order.
         read: gives the training frame at a position.
-        settings: smoothing and threshold.
+        settings: smoothing, threshold, and how many frames.
         folder: where masks, uncertainty maps and the manifest go.
         identity: what the masks depend on besides prior and settings: the hash of the data.
     """
@@ -59,12 +74,13 @@ class InitStage(FramewiseStage):
         self.settings = settings
         self.calibration: Calibration | None = None
         self._read = read
+        self._chosen = dict.fromkeys(frames_to_complete(observed_frames, settings.max_frames))
         self._probabilities: dict[int, NDArray[np.float32]] = {}
 
     @property
     def wanted(self) -> list[int]:
         """Positions of the frames that are not written yet."""
-        return [k for index, k in self._positions.items() if frame_name(index) not in self.records]
+        return [k for k in self._chosen if frame_name(self.observed_frames[k].index) not in self.records]
 
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
@@ -106,14 +122,14 @@ class InitStage(FramewiseStage):
         return self._probabilities[position]
 
     def _smoothed(self, position: int, visible: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """Returns the probability averaged along the body's motion with the frames before and after."""
+        """Returns the probability averaged along the body's motion with the frames beside it that have one."""
         own, observed_frame = self._probability(position), self.observed_frames[position]
         if self.settings.smoothing == 0.0:
             return own
         faces = self._body[0].faces.cpu().numpy()
         neighbours = []
         for other in (position - 1, position + 1):
-            if 0 <= other < len(self.observed_frames):
+            if other in self._chosen:
                 flow = body_flow(
                     observed_frame.projected, self.observed_frames[other].projected, faces, *own.shape
                 )
@@ -152,8 +168,9 @@ class InitStage(FramewiseStage):
         """
         faces = self._body[0].faces.cpu().numpy()
         scores = []
-        for before, now in zip(self.observed_frames[:-1], self.observed_frames[1:], strict=True):
-            if not now.evidence.occluded:
+        for k in self._chosen:
+            before, now = self.observed_frames[k - 1], self.observed_frames[k]
+            if k - 1 not in self._chosen or not now.evidence.occluded:
                 continue
             mask, earlier = (
                 read_mask(self.folder.picture(observed_frame.index)) for observed_frame in (now, before)

@@ -12,6 +12,7 @@ from torch import Tensor
 from occfusion.data.silhouette import bounding_box
 from occfusion.data.views import BoundedCache
 from occfusion.errors import DataError
+from occfusion.fields.bits import Packed, packed, unpacked
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.files.run_folder import FrameFolder
 from occfusion.geometry.boxes import crop
@@ -42,32 +43,29 @@ class _Kept:
     Attributes:
         rgb: inside `box`, `[h, w, 3]`.
         box: of what is not black.
-        region: bits of the region.
-        size: height and width of the frame.
+        region: packed.
     """
 
     rgb: NDArray[np.uint8]
     box: Box
-    region: NDArray[np.uint8]
-    size: tuple[int, int]
+    region: Packed
 
     @classmethod
     def of(cls, rgb: NDArray[np.uint8], region: NDArray[np.bool_]) -> _Kept:
         box = bounding_box(np.asarray(rgb.any(axis=2)))
         x, y, w, h = box
-        return cls(rgb[y : y + h, x : x + w].copy(), box, np.packbits(region), region.shape)
+        return cls(rgb[y : y + h, x : x + w].copy(), box, packed(region))
 
     @property
     def nbytes(self) -> int:
-        """Bytes of both arrays."""
-        return self.rgb.nbytes + self.region.nbytes
+        """Bytes of both."""
+        return self.rgb.nbytes + len(self.region[0])
 
     def whole(self) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Returns picture and region of the frame."""
-        (height, width), (x, y, w, h) = self.size, self.box
-        rgb = np.zeros((height, width, 3), dtype=np.uint8)
+        region, (x, y, w, h) = unpacked(self.region), self.box
+        rgb = np.zeros((*region.shape, 3), dtype=np.uint8)
         rgb[y : y + h, x : x + w] = self.rgb
-        region = np.unpackbits(self.region, count=height * width).view(np.bool_).reshape(height, width)
         return rgb, region
 
 

@@ -63,7 +63,13 @@ class RefineStage(AvatarStage):
             structure = reference.rgb, target.visible_mask | reference.region
         terms = self.colour_terms(rgb, target.rgb, target.visible_mask, structure)
         if settings.lambda_mask:
-            unseen = None if reference is None or settings.references.pixels != "unseen" else reference.region
+            unseen = None
+            if (
+                reference is not None
+                and frame.complete_mask is not None
+                and settings.references.pixels == "unseen"
+            ):
+                unseen = reference.region
             weights = mask_weights(frame, box, self.uncertain, settings.hidden.effective_weight, unseen)
             mask = with_outline(target.mask, frame, box, self.uncertain, self.outlines, unseen)
             terms["mask"] = losses.l2(rendering.alpha, mask.to(rgb.dtype), weights=weights)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,23 +41,31 @@ class UncertainMasks:
 
     Attributes:
         hidden: what neither shows the person nor is background for certain.
-        assumed_background: what of that was taken for background when masks were completed, so that a complete mask,
-            or the lack of one, says nothing there.
+        assumed_background: what of that was taken for background when masks were completed, or all of it where a frame
+            is given no complete mask: what stands there in its place says nothing.
     """
 
     hidden: Masks = field(default_factory=dict)
     assumed_background: Masks = field(default_factory=dict)
 
     @classmethod
-    def found(cls, observed_frames: Iterable[ObservedFrame]) -> UncertainMasks:
-        """Returns where masks and poses of the training frames leave complete masks uncertain."""
+    def found(
+        cls, observed_frames: Sequence[ObservedFrame], completed: Collection[int] | None = None
+    ) -> UncertainMasks:
+        """Returns where masks and poses of the training frames leave complete masks uncertain.
+
+        Args:
+            observed_frames: of all training frames, in order.
+            completed: positions of those that are given complete masks; None: of all, or no stage makes any.
+        """
         hidden, assumed_background = PackedMasks(), PackedMasks()
-        for observed_frame in observed_frames:
+        for position, observed_frame in enumerate(observed_frames):
             own = observed_frame.evidence
             maybe = own.maybe_hidden
             if maybe.any():
+                is_asked = completed is None or position in completed
                 hidden.put(observed_frame.index, maybe)
-                assumed_background.put(observed_frame.index, maybe & own.background)
+                assumed_background.put(observed_frame.index, maybe & own.background if is_asked else maybe)
         return cls(hidden, assumed_background)
 
     def of(self, frame: Frame, box: Box, unseen: Tensor | None = None) -> Tensor | None:
