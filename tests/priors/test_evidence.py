@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from occfusion.observation import evidence
 from occfusion.observation.evidence import FRAMES_TO_JUDGE, HIDDEN_SHARE, gather_evidence, misfit, person_size
 
 SIZE = 100
@@ -35,6 +36,27 @@ def test_a_strip_is_found_and_what_lies_near_it_is_not_called_background() -> No
     assert not (found.background & seen).any()
     assert not (found.maybe_hidden & seen).any()
     assert found.maybe_hidden[50, 62] and not found.maybe_hidden[50, 95]
+
+
+@pytest.mark.parametrize("count", [1, FRAMES_TO_JUDGE + 1])
+def test_looking_about_the_person_alone_finds_what_looking_everywhere_does(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = person()
+    seen[40:60], seen[:, :48], seen[12:20, 50:] = False, False, False
+    pairs = [(person(), person())] * (count - 1) + [(person(), seen)]
+    larger = [[np.pad(mask, ((30, 7), (11, 60))) for mask in pair] for pair in pairs]
+    ours = gather_evidence(*zip(*larger, strict=True))
+    monkeypatch.setattr(evidence, "_window", lambda *_: (slice(None), slice(None)))
+    for found, wanted in zip(ours, gather_evidence(*zip(*larger, strict=True)), strict=True):
+        for name in ("hidden", "background", "maybe_hidden", "hidden_share", "occluded", "outside_share"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
+
+
+def test_of_nothing_nothing_is_said() -> None:
+    nothing = np.zeros((6, 8), bool)
+    found = gather_evidence([nothing], [nothing])[0]
+    assert not found.occluded and not found.maybe_hidden.any() and found.background.all()
 
 
 def test_what_lies_between_hidden_parts_may_be_hidden() -> None:

@@ -106,8 +106,10 @@ def _window(body: Mask, seen: Mask) -> tuple[slice, slice]:
     """Returns the rows and columns in which something may be hidden: about the body and what is seen, with room."""
     room = 2 + int(np.ceil(max(REACH, AROUND, GROWTH * CORE) * person_size(body)))
     there = body | seen
+    if not there.any():
+        return slice(None), slice(None)
     spans = (np.flatnonzero(there.any(axis=1)), np.flatnonzero(there.any(axis=0)))
-    rows, columns = (slice(max(0, s[0] - room), s[-1] + 1 + room) if len(s) else slice(0, 0) for s in spans)
+    rows, columns = (slice(max(0, span[0] - room), span[-1] + 1 + room) for span in spans)
     return rows, columns
 
 

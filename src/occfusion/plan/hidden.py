@@ -149,7 +149,7 @@ def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] |
         shares = [f.evidence.hidden_share for f in observed_frames if f.evidence.occluded]
         median = float(np.median(shares))
         if median <= MOSTLY_HIDDEN:
-            known = f"masks of {len(shares)} occluded frames are completed, and half of these show at least"
+            known = f"masks are completed, and half of the {len(shares)} occluded frames show at least"
             known += f" {1 - median:.0%} of the body: it changed nothing then"
             reasons = [f"{reason}; {known}" for reason in reasons]
             used = [False, False]
