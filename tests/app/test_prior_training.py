@@ -109,7 +109,7 @@ def test_the_corpus_shows_what_the_refinement_asks_about(
     monkeypatch.setattr("occfusion.run.refine._make_inpainter", lambda *_: recorder)
     how = {"kind": scene.occlusion, "share": scene.share, "fraction": scene.fraction}
     train(
-        *small_scene(tmp_path), "variant=E", "stage=refine", "refine.steps=1", "dataset.cameras=2",
+        *small_scene(tmp_path), "variant=E", "stage=refine", f"refine.steps={scene.frames}", "dataset.cameras=2",
         f"dataset.scene={scene.scene}", f"dataset.train_frames=[0,{scene.frames},1]", f"seed={scene.seed}",
         *(f"dataset.occlusion.{key}={value}" for key, value in how.items()), "dataset.test_frames=[0,1,1]",
         "evaluation.curve=false", folder="whole",

@@ -135,10 +135,10 @@ def read_settings(folder: RunFolder) -> Settings:
         raise (damaged if known is None else changed) from error
     written = {str(key): value for key, value in config.items()}
     kept = without_old_names(written)
-    settings = load_settings(kept)
+    # before it is read: what was cut short may be no setting at all
     if known is not None and known not in (digest_of_values(written), digest_of_values(kept)):
         raise changed
-    return settings
+    return load_settings(kept)
 
 
 def stages_with_avatar(folder: RunFolder) -> list[str]:
