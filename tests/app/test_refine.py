@@ -12,6 +12,7 @@ import torch
 from safetensors.torch import load_file
 
 from app.conftest import UNMEASURED
+from occfusion.data.sampling import StepSampler
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.files.run_folder import RunFolder
@@ -97,20 +98,15 @@ def test_references_may_count_only_where_nothing_is_known(
 
 
 def test_of_a_long_sequence_what_training_sees_is_made(train: Train) -> None:
-    """Four of ten frames are seen by five steps of one stage and three of the other, and two masks are completed."""
-    steps = ("optim.steps=5", "refine.steps=3", "init.max_frames=2")
-    folder, _ = train(*SHORT, *steps, "refine.hidden.target=outline", "optim.hidden.target=none")
+    """Three steps of the refinement see three of ten frames, and two masks are completed."""
+    few = ("optim.steps=5", "refine.steps=3", "init.max_frames=2")
+    folder, _ = train(*SHORT, *few, "refine.hidden.target=outline", "optim.hidden.target=none")
     assert len(list((folder / "masks").glob("*.png"))) == 2
     assert "2 of " in decisions(folder)["complete masks"]["reason"]
     records = json.loads((folder / "inpainted" / "manifest.json").read_text())["frames"]
-    losses = (folder / "losses.csv").read_text()
-    assert 0 < len(records) <= 3 and "refine" in losses
-    again, _ = train(
-        *SHORT, *steps, "refine.hidden.target=outline", "optim.hidden.target=none", folder="again"
-    )
-    for stage in ("optim", "refine"):
-        ours, theirs = parameters(folder, stage), parameters(again, stage)
-        assert all(torch.equal(ours[name], theirs[name]) for name in ours)
+    seen = {f"{StepSampler(10, 0).position_at(step):06d}" for step in range(3)}
+    assert records and set(records) <= seen
+    assert (folder / "refine" / "avatar.safetensors").is_file()
 
 
 def test_a_frame_of_which_no_pixel_counts_is_not_inpainted(
