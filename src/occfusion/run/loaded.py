@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 
@@ -135,10 +135,13 @@ def read_settings(folder: RunFolder) -> Settings:
         raise (damaged if known is None else changed) from error
     written = {str(key): value for key, value in config.items()}
     kept = without_old_names(written)
-    # before it is read: what was cut short may be no setting at all
-    if known is not None and known not in (digest_of_values(written), digest_of_values(kept)):
+    is_changed = known is not None and known not in (digest_of_values(written), digest_of_values(kept))
+    if is_changed and {field.name for field in fields(Settings)} - kept.keys():
+        raise changed  # cut short: the last of what is left may be no setting at all
+    settings = load_settings(kept)
+    if is_changed:
         raise changed
-    return load_settings(kept)
+    return settings
 
 
 def stages_with_avatar(folder: RunFolder) -> list[str]:
