@@ -34,9 +34,9 @@ def frames_to_complete(observed_frames: Sequence[ObservedFrame], most: int | Non
         most: occluded frames, evenly spread; frames of a whole person are left out then. None: all frames.
     """
     occluded = [k for k, observed_frame in enumerate(observed_frames) if observed_frame.evidence.occluded]
-    return (
-        list(range(len(observed_frames))) if most is None or len(occluded) <= most else evenly(occluded, most)
-    )
+    if most is None or len(occluded) <= most:
+        return list(range(len(observed_frames)))
+    return evenly(occluded, most)
 
 
 class InitStage(FramewiseStage):
