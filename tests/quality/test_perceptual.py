@@ -102,6 +102,17 @@ def test_a_kept_target_gives_the_same(stlpips):
         stlpips.distance(a[:20], kept)
 
 
+@pytest.mark.parametrize("antialiased", [True, False])
+def test_all_that_it_needs_moves_to_another_device_with_it(random_weights, antialiased):
+    """`meta` computes no values, but refuses operands of two devices as a GPU does."""
+    metric = PerceptualMetric("test", random_weights, antialiased=antialiased).to("meta")
+    a = torch.empty(70, 64, 3, device="meta", requires_grad=True)
+    distance = metric(a, torch.empty(70, 64, 3, device="meta"))
+    (gradient,) = torch.autograd.grad(distance, a)
+    assert distance.device.type == gradient.device.type == "meta"
+    assert metric.over_black(a, a.detach()).device.type == "meta"
+
+
 def test_frozen(stlpips):
     assert not list(stlpips.parameters())
     a, b = waves(20, 20)

@@ -51,7 +51,8 @@ def write_comparison(path: Path, frames: Sequence[Frame], render: Callable[[Fram
             ours = render(frame).rgb
             columns = [("input", f"input {frame.name}", frame.rgb), ("rendering", "rendering", ours)]
             if frame.truth is not None:
-                truth, difference = frame.truth.rgb, error_map(ours, frame.truth.rgb)
+                truth = frame.truth.rgb
+                difference = error_map(ours, truth.to(ours))
                 columns += [("truth", "truth", truth), ("error", f"error x{ERROR_GAIN:g}", difference)]
             rows.append(np.concatenate([captioned(to_uint8(c), t) for _, t, c in columns], axis=1))
             height, width = frame.rgb.shape[:2]

@@ -21,7 +21,8 @@ def mask_bounds(mask: Tensor) -> tuple[int, int, int, int] | None:
     rows, columns = mask.any(dim=1).nonzero(), mask.any(dim=0).nonzero()
     if rows.numel() == 0:
         return None
-    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+    left, right, top, bottom = torch.cat([columns[0], columns[-1], rows[0], rows[-1]]).tolist()
+    return left, top, right + 1, bottom + 1
 
 
 def points_bounds(points: Tensor, camera: Camera) -> tuple[int, int, int, int] | None:
@@ -35,8 +36,8 @@ def points_bounds(points: Tensor, camera: Camera) -> tuple[int, int, int, int] |
         return None
     pixels = (local[:, :2] / local[:, 2:]) @ camera.K[:2, :2].T + camera.K[:2, 2]
     pixels = pixels.clamp(-FARTHEST, FARTHEST)
-    low, high = pixels.amin(dim=0).floor(), pixels.amax(dim=0).ceil()
-    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+    left, top, right, bottom = torch.cat([pixels.amin(dim=0).floor(), pixels.amax(dim=0).ceil()]).tolist()
+    return int(left), int(top), int(right), int(bottom)
 
 
 def person_box(points: Tensor, mask: Tensor, camera: Camera, padding: int, *, compiled: bool = False) -> Box:

@@ -40,17 +40,17 @@ def axis_angle_to_matrix(vectors: Tensor, *, compiled: bool = False) -> Tensor:
     Args:
         vectors: axis times angle in radians, `[..., 3]`; any angle.
         compiled: by the kernels of `rotation_kernels.py`, of which this is the specification, where they take the
-            vectors: float32 on a CPU.
+            vectors: float32. Those of a GPU come to the host and go back: a few vectors for forty launches each way.
 
     Returns:
         `[..., 3, 3]`.
     """
-    if compiled and vectors.dtype == torch.float32 and vectors.device.type == "cpu":
+    if compiled and vectors.dtype == torch.float32 and vectors.device.type in ("cpu", "cuda"):
         # numba is loaded where it is used
         from occfusion.geometry import rotation_kernels
 
-        matrices: Tensor = rotation_kernels.AxisAngle.apply(vectors.reshape(-1, 3))
-        return matrices.view(*vectors.shape, 3)
+        matrices: Tensor = rotation_kernels.AxisAngle.apply(vectors.reshape(-1, 3).cpu())
+        return matrices.view(*vectors.shape, 3).to(vectors.device)
     squared = (vectors * vectors).sum(-1, keepdim=True)
     is_small = squared < _SERIES_BELOW
     angle = torch.where(is_small, 1.0, squared).sqrt()

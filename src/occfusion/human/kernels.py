@@ -15,11 +15,15 @@ surround.warm_up()  # of figures, the first of which are asked for within a seco
 
 def compile_kernels(renderer: Renderer) -> None:
     """Compiles what the steps of a training call, or loads it from the cache; waits for a second process at it."""
+    # numba is loaded where it is used
+    from occfusion.geometry import rotation_kernels, skinning_kernels
+
     if renderer.backend != "numba":
         renderer.warm_up()
+        for module in (rotation_kernels, skinning_kernels):  # joints are posed on the host for all devices
+            module.warm_up()
         return
-    # numba is loaded where it is used
-    from occfusion.geometry import box_kernels, rotation_kernels, skinning_kernels
+    from occfusion.geometry import box_kernels
     from occfusion.human import carry_kernels, color_kernels
     from occfusion.quality import fused
     from occfusion.splat.backends.numba import ahead

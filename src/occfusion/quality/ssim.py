@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -113,7 +114,13 @@ def window(length: int) -> NDArray[np.float64]:
 
 
 def _kernel(length: int, like: Tensor) -> Tensor:
-    return torch.from_numpy(window(length)).to(like)
+    return _window_on(min(length, WINDOW + 1), like.dtype, like.device)
+
+
+@lru_cache(maxsize=64)
+def _window_on(length: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    with torch.inference_mode(False):  # kept: also for steps that have gradients
+        return torch.from_numpy(window(length)).to(device, dtype)
 
 
 def _blur(planes: Tensor) -> Tensor:

@@ -91,7 +91,16 @@ class Observed:
 
 
 RUN_STAGE = {"init": complete_masks, "optim": optimise, "refine": refine}
-"""What a stage does: returns the avatar as it leaves it; what is done already is taken over."""
+
+
+def run_stage(name: str, training: AvatarTraining, avatar: Avatar) -> Avatar:
+    """Returns the avatar as a stage leaves it, where the run draws; what is done already is taken over.
+
+    Raises:
+        Interrupted: a signal stopped it; the same command continues.
+    """
+    device = training.renderer.device
+    return RUN_STAGE[name](training, avatar.to(device)).to(device)  # Lightning leaves it on the host
 
 
 @dataclass(frozen=True)
@@ -119,7 +128,7 @@ class Run:
         avatar = self.avatar
         for stage in self.plan.stages:
             return_memory()  # what was observed, or trained, took some for a while
-            avatar = RUN_STAGE[stage](self.training, avatar)
+            avatar = run_stage(stage, self.training, avatar)
         return_memory()
         return avatar
 
@@ -303,8 +312,9 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
     trained = [getattr(settings, stage) for stage in plan.stages if stage != "init"]
     metric = evaluating = None
     if settings.evaluation.perceptual or any(stage.lambda_lpips for stage in trained):
-        perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path)
-        precision = training_dtype(settings.perceptual.precision, observed.renderer.device)
+        device = observed.renderer.device
+        perceptual = load_perceptual(settings.perceptual.name, settings.perceptual.vgg_path).to(device)
+        precision = training_dtype(settings.perceptual.precision, device)
         metric = perceptual.with_dtype(precision)
         evaluating = evaluation_metric(settings.evaluation, perceptual)
     frames = observed.frames or []

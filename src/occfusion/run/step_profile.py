@@ -18,7 +18,7 @@ from occfusion.bench.probes import BACKWARD, FORWARD, Probes, Spent
 from occfusion.bench.steps import PERCEPTUAL, RASTERISER, PartTime, StepProfile
 from occfusion.data.module import HumanDataModule
 from occfusion.quality import losses
-from occfusion.run.prepare import RUN_STAGE, build, claim, decide, observe
+from occfusion.run.prepare import build, claim, decide, observe, run_stage
 from occfusion.settings.schema import Settings
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.losses_log import LossLog
@@ -180,5 +180,5 @@ def profile_stages(
     avatar, training = run.avatar, replace(run.training, watching=(watch,))
     for stage in plan.stages:
         known = len(watch.profiles)
-        avatar = RUN_STAGE[stage](training, avatar)
+        avatar = run_stage(stage, training, avatar)
         yield from watch.profiles[known:]

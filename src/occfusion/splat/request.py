@@ -5,6 +5,7 @@ Each check of what tensors hold is a pass or two over them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -175,15 +176,18 @@ def check_values(request: Request) -> None:
     named = {**request.gaussian_tensors(), "viewmat": request.viewmat}
     if request.background is not None:
         named["background"] = request.background
-    for name, values in named.items():
-        # one fast pass for the usual case: a sum with NaN or infinity in it is not finite
-        if not bool(values.sum().isfinite()) and not bool(values.isfinite().all()):
-            rows = int((~values.isfinite()).sum())
-            raise NumericsError(f"rasterize: {name} holds {rows} values that are NaN or infinite")
+    # one fast pass for the usual case: a sum with NaN or infinity in it is not finite. A device is asked once
+    if not all(map(math.isfinite, torch.stack([values.sum() for values in named.values()]).tolist())):
+        for name, values in named.items():
+            if rows := int((~values.isfinite()).sum()):
+                raise NumericsError(f"rasterize: {name} holds {rows} values that are NaN or infinite")
     if not len(request.means):
         return
-    _refuse((request.means.abs() > FARTHEST).any(dim=1), f"means: {{}} are farther away than {FARTHEST:g} m")
-    low, high = request.opacities.aminmax()
+    ends = [*request.means.aminmax(), *request.opacities.aminmax()]
+    nearest, farthest, low, high = torch.stack(ends).tolist()
+    if max(-nearest, farthest) > FARTHEST:
+        far = (request.means.abs() > FARTHEST).any(dim=1)
+        _refuse(far, f"means: {{}} are farther away than {FARTHEST:g} m")
     if low < 0 or high > 1:
         outside = (request.opacities < 0) | (request.opacities > 1)
         _refuse(outside, "opacities: {} are outside 0..1; give probabilities, not logits")

@@ -65,7 +65,7 @@ class ErrorCurve(L.Callback):
     def on_train_batch_end(self, trainer: L.Trainer, pl_module: L.LightningModule, *_: Any) -> None:
         """Measures when the next time has come."""
         assert isinstance(pl_module, AvatarStage)
-        if pl_module.clock.seconds >= self._next:
+        if pl_module.clock.seconds_of_host >= self._next:
             self._measure(trainer, pl_module)
             while self._next <= pl_module.clock.seconds:
                 self._next *= 2
