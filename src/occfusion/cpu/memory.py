@@ -13,7 +13,9 @@ import torch
 def peak_memory_mb() -> float:
     """Returns the accelerator's peak in MB when one is in use, else the peak resident memory of the process."""
     if torch.cuda.is_available() and torch.cuda.is_initialized():
-        return torch.cuda.max_memory_allocated() / 1e6
+        allocated = torch.cuda.max_memory_allocated()
+        if allocated:  # with `trainer.accelerator=cpu` it may be asked for its name alone
+            return allocated / 1e6
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     # Linux counts kilobytes, macOS bytes
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
