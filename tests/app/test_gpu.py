@@ -10,8 +10,8 @@ from typing import Any
 import lightning as L
 import pytest
 import torch
-from app.conftest import UNMEASURED
 
+from app.conftest import UNMEASURED
 from occfusion.human.rendering import Renderer
 from occfusion.motion.performance import perform
 from occfusion.run.loaded import load_run

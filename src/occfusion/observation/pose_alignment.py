@@ -202,15 +202,19 @@ class Aligner:
     def run(self) -> Alignment | None:
         """Returns the alignment; None where outlines tell too little."""
         picture, picture_error, everyone = np.zeros(3), np.ones(3), range(len(self._looks))
+        half, others = everyone[::2], everyone[1::2]
+        first = (
+            half if len(half) >= LOOKS_A_KNOT * (self._knots - 3) else everyone
+        )  # a knot lies on either side
         for number in range(ROUNDS):
             reach = 2.0 * REACH if number == 0 else REACH
-            if not self._step(everyone, reach, self._registered):
+            if not self._step(first, reach, self._registered):
                 return None
             if not self._registered:
                 picture, picture_error = self._picture
-        if not self._step(everyone[::2], REACH, True):
+        if not self._step(half, REACH, True):
             return None
-        amount, gain = self._best_amount(everyone[1::2])
+        amount, gain = self._best_amount(others)
         for _ in range(SETTLING if amount else 0):  # what is not taken need not be found to the end
             if not self._step(everyone, REACH, True):
                 return None
