@@ -7,6 +7,8 @@ import os
 # NumPy's library of linear algebra reads this once, and so do the processes that tests start. Thread counts are tested
 # where they matter
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# nor do they train on a GPU, whose sums depend on the order of its threads, but where a user names one
+os.environ.setdefault("CUDA_VISIBLE_DEVICES", "")
 
 import pytest
 import torch

@@ -1,4 +1,7 @@
-"""Runs on a CUDA device; left out where there is none. Kernels of gsplat are compiled where it is installed."""
+"""Runs on a CUDA device; left out where none is named. Kernels of gsplat are compiled where it is installed.
+
+CUDA_VISIBLE_DEVICES=0 python -m pytest tests/app/test_gpu.py
+"""
 
 from __future__ import annotations
 

@@ -67,6 +67,12 @@ def warm_up() -> None:
     (moved.sum() + covariances.sum() + linear.sum()).backward()
 
 
+Matrix = tuple[np.float32, ...]
+"""Nine numbers, row by row. Those of a Gaussian are no arrays: they stay in registers, and need not be read again for
+fear that what was written elsewhere has changed them."""
+Vector = tuple[np.float32, np.float32, np.float32]
+
+
 @inline
 def _unit(quats: Array, n: int) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """A unit quaternion and 1 / length; the identity and 0 without a direction."""
@@ -81,53 +87,83 @@ def _unit(quats: Array, n: int) -> tuple[np.float32, np.float32, np.float32, np.
 
 
 @inline
-def _rotation(w: np.float32, x: np.float32, y: np.float32, z: np.float32, out: Array) -> None:
+def _rotation(w: np.float32, x: np.float32, y: np.float32, z: np.float32) -> Matrix:
     one, two = np.float32(1), np.float32(2)
-    out[0, 0] = one - two * (y * y + z * z)
-    out[0, 1] = two * (x * y - w * z)
-    out[0, 2] = two * (x * z + w * y)
-    out[1, 0] = two * (x * y + w * z)
-    out[1, 1] = one - two * (x * x + z * z)
-    out[1, 2] = two * (y * z - w * x)
-    out[2, 0] = two * (x * z - w * y)
-    out[2, 1] = two * (y * z + w * x)
-    out[2, 2] = one - two * (x * x + y * y)
+    return (
+        one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y),
+        two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x),
+        two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y),
+    )  # fmt: skip
 
 
 @inline
-def _maps(rest_maps: Array, posed_maps: Array, n: int, rest: Array, posed: Array, linear: Array) -> None:
-    """The linear parts of both maps of a Gaussian, and their product."""
-    for i in range(3):
-        for j in range(3):
-            rest[i, j], posed[i, j] = rest_maps[i, j, n], posed_maps[i, j, n]
-    for i in range(3):
-        for j in range(3):
-            linear[i, j] = posed[i, 0] * rest[0, j] + posed[i, 1] * rest[1, j] + posed[i, 2] * rest[2, j]
+def _columns(maps: Array, n: int) -> Matrix:
+    """The linear part of a Gaussian's map, or a matrix of `[3, 3, N]`."""
+    return (
+        maps[0, 0, n], maps[0, 1, n], maps[0, 2, n],
+        maps[1, 0, n], maps[1, 1, n], maps[1, 2, n],
+        maps[2, 0, n], maps[2, 1, n], maps[2, 2, n],
+    )  # fmt: skip
 
 
 @inline
-def _placed(
-    means: Array,
-    scales: Array,
-    rest_maps: Array,
-    offsets: Array,
-    n: int,
-    rest: Array,
-    linear: Array,
-    turn: Array,
-    at_rest: Array,
-    root: Array,
-) -> None:
-    """Where a Gaussian is at rest, and the root of its covariance in the pose."""
-    for i in range(3):
-        at_rest[i] = (
-            rest[i, 0] * means[n, 0] + rest[i, 1] * means[n, 1] + rest[i, 2] * means[n, 2]
-            + rest_maps[i, 3, n] + offsets[n, i]
-        )  # fmt: skip
-        for j in range(3):
-            root[i, j] = scales[n, j] * (
-                linear[i, 0] * turn[0, j] + linear[i, 1] * turn[1, j] + linear[i, 2] * turn[2, j]
-            )
+def _transposed(a: Matrix) -> Matrix:
+    return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]
+
+
+@inline
+def _scaled(a: Matrix, x: np.float32, y: np.float32, z: np.float32) -> Matrix:
+    """A matrix with its columns multiplied."""
+    return a[0] * x, a[1] * y, a[2] * z, a[3] * x, a[4] * y, a[5] * z, a[6] * x, a[7] * y, a[8] * z
+
+
+@inline
+def _row(x: np.float32, y: np.float32, z: np.float32, b: Matrix) -> Vector:
+    """A row times a matrix."""
+    return x * b[0] + y * b[3] + z * b[6], x * b[1] + y * b[4] + z * b[7], x * b[2] + y * b[5] + z * b[8]
+
+
+@inline
+def _product(a: Matrix, b: Matrix) -> Matrix:
+    return _row(a[0], a[1], a[2], b) + _row(a[3], a[4], a[5], b) + _row(a[6], a[7], a[8], b)
+
+
+@inline
+def _sum(a: Matrix, b: Matrix) -> Matrix:
+    return (
+        a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6], a[7] + b[7],
+        a[8] + b[8],
+    )  # fmt: skip
+
+
+@inline
+def _outer(
+    x: np.float32, y: np.float32, z: np.float32, p: np.float32, q: np.float32, r: np.float32
+) -> Matrix:
+    return x * p, x * q, x * r, y * p, y * q, y * r, z * p, z * q, z * r
+
+
+@inline
+def _applied(a: Matrix, x: np.float32, y: np.float32, z: np.float32) -> Vector:
+    return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
+
+
+@inline
+def _at_rest(means: Array, offsets: Array, rest_maps: Array, n: int, rest: Matrix) -> Vector:
+    x, y, z = _applied(rest, means[n, 0], means[n, 1], means[n, 2])
+    return (
+        x + rest_maps[0, 3, n] + offsets[n, 0],
+        y + rest_maps[1, 3, n] + offsets[n, 1],
+        z + rest_maps[2, 3, n] + offsets[n, 2],
+    )
+
+
+@inline
+def _put(maps: Array, n: int, a: Matrix) -> None:
+    """Writes a matrix as `_columns` reads it."""
+    maps[0, 0, n], maps[0, 1, n], maps[0, 2, n] = a[0], a[1], a[2]
+    maps[1, 0, n], maps[1, 1, n], maps[1, 2, n] = a[3], a[4], a[5]
+    maps[2, 0, n], maps[2, 1, n], maps[2, 2, n] = a[6], a[7], a[8]
 
 
 @kernel
@@ -144,27 +180,21 @@ def _forward(
     part: int,
     parts: int,
 ) -> None:
-    space = np.empty((5, 3, 3), np.float32)
-    rest, posed, linear, turn, root = space[0], space[1], space[2], space[3], space[4]
-    at_rest = np.empty(3, np.float32)
     for begin in range(part * BLOCK, len(means), parts * BLOCK):
         for n in range(begin, min(begin + BLOCK, len(means))):
-            _maps(rest_maps, posed_maps, n, rest, posed, linear)
+            rest, posed = _columns(rest_maps, n), _columns(posed_maps, n)
+            linear = _product(posed, rest)
             w, x, y, z, _ = _unit(quats, n)
-            _rotation(w, x, y, z, turn)
-            _placed(means, scales, rest_maps, offsets, n, rest, linear, turn, at_rest, root)
-            for i in range(3):
-                for j in range(3):
-                    linear_out[i, j, n] = linear[i, j]
-            for i in range(3):
-                moved[n, i] = (
-                    posed[i, 0] * at_rest[0] + posed[i, 1] * at_rest[1] + posed[i, 2] * at_rest[2]
-                    + posed_maps[i, 3, n]
-                )  # fmt: skip
-                for j in range(3):
-                    covariances[n, i, j] = (
-                        root[i, 0] * root[j, 0] + root[i, 1] * root[j, 1] + root[i, 2] * root[j, 2]
-                    )
+            turned = _product(linear, _rotation(w, x, y, z))
+            root = _scaled(turned, scales[n, 0], scales[n, 1], scales[n, 2])
+            square = _product(root, _transposed(root))
+            x, y, z = _at_rest(means, offsets, rest_maps, n, rest)
+            x, y, z = _applied(posed, x, y, z)
+            moved[n, 0], moved[n, 1] = x + posed_maps[0, 3, n], y + posed_maps[1, 3, n]
+            moved[n, 2] = z + posed_maps[2, 3, n]
+            _put(linear_out, n, linear)
+            for k in range(9):
+                covariances[n, k // 3, k % 3] = square[k]
 
 
 @kernel
@@ -190,73 +220,50 @@ def _backward(
     part: int,
     parts: int,
 ) -> None:
-    space = np.empty((8, 3, 3), np.float32)
-    rest, posed, linear, turn, root = space[0], space[1], space[2], space[3], space[4]
-    to_root, to_linear, own = space[5], space[6], space[7]
-    at_rest, to_rest = np.empty(3, np.float32), np.empty(3, np.float32)
     two = np.float32(2)
     for begin in range(part * BLOCK, len(means), parts * BLOCK):
         for n in range(begin, min(begin + BLOCK, len(means))):
-            _maps(rest_maps, posed_maps, n, rest, posed, linear)
+            rest, posed = _columns(rest_maps, n), _columns(posed_maps, n)
+            linear = _product(posed, rest)
             w, x, y, z, inverse_length = _unit(quats, n)
-            _rotation(w, x, y, z, turn)
-            _placed(means, scales, rest_maps, offsets, n, rest, linear, turn, at_rest, root)
-            for i in range(3):
-                to_rest[i] = (
-                    posed[0, i] * for_moved[n, 0]
-                    + posed[1, i] * for_moved[n, 1]
-                    + posed[2, i] * for_moved[n, 2]
-                )
-            for i in range(3):
-                for j in range(3):
-                    total = np.float32(0)
-                    for k in range(3):
-                        total += (for_covariances[n, i, k] + for_covariances[n, k, i]) * root[k, j]
-                    to_root[i, j] = total
-            for i in range(3):
-                for j in range(3):
-                    total, mine = for_linear[i, j, n], np.float32(0)
-                    for k in range(3):
-                        total += to_root[i, k] * turn[j, k] * scales[n, k]
-                        mine += linear[k, i] * to_root[k, j]
-                    to_linear[i, j], own[i, j] = total, mine
-            for j in range(3):
-                to_scales[n, j] = own[0, j] * turn[0, j] + own[1, j] * turn[1, j] + own[2, j] * turn[2, j]
-            for i in range(3):
-                for j in range(3):
-                    own[i, j] *= scales[n, j]
+            turn = _rotation(w, x, y, z)
+            sx, sy, sz = scales[n, 0], scales[n, 1], scales[n, 2]
+            mx, my, mz = for_moved[n, 0], for_moved[n, 1], for_moved[n, 2]
+            each = for_covariances[n]
+            xy, xz, yz = each[0, 1] + each[1, 0], each[0, 2] + each[2, 0], each[1, 2] + each[2, 1]
+            twice = (two * each[0, 0], xy, xz, xy, two * each[1, 1], yz, xz, yz, two * each[2, 2])
+            to_root = _product(twice, _scaled(_product(linear, turn), sx, sy, sz))
+            own = _product(_transposed(linear), to_root)
+            to_linear = _sum(
+                _product(to_root, _transposed(_scaled(turn, sx, sy, sz))), _columns(for_linear, n)
+            )
+            to_scales[n, 0] = own[0] * turn[0] + own[3] * turn[3] + own[6] * turn[6]
+            to_scales[n, 1] = own[1] * turn[1] + own[4] * turn[4] + own[7] * turn[7]
+            to_scales[n, 2] = own[2] * turn[2] + own[5] * turn[5] + own[8] * turn[8]
+            own = _scaled(own, sx, sy, sz)
             # odd parts go with w, even parts pair the others
-            wx, wy, wz = own[2, 1] - own[1, 2], own[0, 2] - own[2, 0], own[1, 0] - own[0, 1]
-            xy, xz, yz = own[0, 1] + own[1, 0], own[0, 2] + own[2, 0], own[1, 2] + own[2, 1]
+            wx, wy, wz = own[7] - own[5], own[2] - own[6], own[3] - own[1]
+            xy, xz, yz = own[1] + own[3], own[2] + own[6], own[5] + own[7]
             a = two * (x * wx + y * wy + z * wz)
-            b = two * (w * wx + y * xy + z * xz - two * x * (own[1, 1] + own[2, 2]))
-            c = two * (w * wy + x * xy + z * yz - two * y * (own[0, 0] + own[2, 2]))
-            d = two * (w * wz + x * xz + y * yz - two * z * (own[0, 0] + own[1, 1]))
+            b = two * (w * wx + y * xy + z * xz - two * x * (own[4] + own[8]))
+            c = two * (w * wy + x * xy + z * yz - two * y * (own[0] + own[8]))
+            d = two * (w * wz + x * xz + y * yz - two * z * (own[0] + own[4]))
             along = a * w + b * x + c * y + d * z
             to_quats[n, 0] = (a - w * along) * inverse_length
             to_quats[n, 1] = (b - x * along) * inverse_length
             to_quats[n, 2] = (c - y * along) * inverse_length
             to_quats[n, 3] = (d - z * along) * inverse_length
-            for i in range(3):
-                to_means[n, i] = rest[0, i] * to_rest[0] + rest[1, i] * to_rest[1] + rest[2, i] * to_rest[2]
+            rx, ry, rz = _applied(_transposed(posed), mx, my, mz)
+            to_means[n, 0], to_means[n, 1], to_means[n, 2] = _applied(_transposed(rest), rx, ry, rz)
             if needs_offsets:
-                for i in range(3):
-                    to_offsets[n, i] = to_rest[i]
+                to_offsets[n, 0], to_offsets[n, 1], to_offsets[n, 2] = rx, ry, rz
             if needs_posed:
-                for i in range(3):
-                    to_posed_maps[i, 3, n] = for_moved[n, i]
-                    for j in range(3):
-                        to_posed_maps[i, j, n] = for_moved[n, i] * at_rest[j] + (
-                            to_linear[i, 0] * rest[j, 0]
-                            + to_linear[i, 1] * rest[j, 1]
-                            + to_linear[i, 2] * rest[j, 2]
-                        )
+                px, py, pz = _at_rest(means, offsets, rest_maps, n, rest)
+                to = _sum(_product(to_linear, _transposed(rest)), _outer(mx, my, mz, px, py, pz))
+                _put(to_posed_maps, n, to)
+                to_posed_maps[0, 3, n], to_posed_maps[1, 3, n], to_posed_maps[2, 3, n] = mx, my, mz
             if needs_rest:
-                for i in range(3):
-                    to_rest_maps[i, 3, n] = to_rest[i]
-                    for j in range(3):
-                        to_rest_maps[i, j, n] = to_rest[i] * means[n, j] + (
-                            posed[0, i] * to_linear[0, j]
-                            + posed[1, i] * to_linear[1, j]
-                            + posed[2, i] * to_linear[2, j]
-                        )
+                px, py, pz = means[n, 0], means[n, 1], means[n, 2]
+                to = _sum(_product(_transposed(posed), to_linear), _outer(rx, ry, rz, px, py, pz))
+                _put(to_rest_maps, n, to)
+                to_rest_maps[0, 3, n], to_rest_maps[1, 3, n], to_rest_maps[2, 3, n] = rx, ry, rz

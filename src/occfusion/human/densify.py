@@ -132,9 +132,11 @@ class Densifier(nn.Module):
         """
         if len(self.count) != len(gradient):
             self._restart(gradient)
-        half_size = gradient.new_tensor([0.5 * camera.width, 0.5 * camera.height]) / self.loss_scale
-        is_drawn = (radii > 0).all(dim=-1)
-        self.gradient_sum += torch.where(is_drawn, (gradient * half_size).norm(dim=-1), 0.0)
+        half_width, half_height = (0.5 * side / self.loss_scale for side in (camera.width, camera.height))
+        # column by column: reductions over two numbers take three times as long
+        is_drawn = (radii[:, 0] > 0) & (radii[:, 1] > 0)
+        length = torch.hypot(gradient[:, 0] * half_width, gradient[:, 1] * half_height)
+        self.gradient_sum += torch.where(is_drawn, length, 0.0)
         self.count += is_drawn
 
     def is_due(self, step: int) -> bool:

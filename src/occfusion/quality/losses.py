@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from occfusion.quality.ssim import ssim_map
 
@@ -96,10 +95,14 @@ def within(mask: Tensor, margin: int) -> Tensor:
         mask: bool `[H, W]`.
         margin: pixels; with 0 it is the mask itself.
     """
-    if margin == 0 or mask.numel() == 0:
-        return mask
-    outside = (~mask).to(torch.float32)[None, None]
-    return functional.max_pool2d(outside, 2 * margin + 1, stride=1, padding=margin)[0, 0] == 0
+    inner = mask
+    for axis in (0, 1):
+        line, length = inner, mask.shape[axis]
+        for step in range(1, min(margin, length - 1) + 1):
+            inner = inner.clone() if inner is line else inner
+            inner.narrow(axis, step, length - step).logical_and_(line.narrow(axis, 0, length - step))
+            inner.narrow(axis, 0, length - step).logical_and_(line.narrow(axis, step, length - step))
+    return inner
 
 
 def masked_mean(values: Tensor, mask: Tensor | None = None) -> Tensor:

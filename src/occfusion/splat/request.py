@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -194,7 +195,7 @@ def check_values(request: Request) -> None:
     # those that come out of a computation, as a posed body's, are factors times their transposes: 3 % of a step saved
     if request.covariances is not None and request.covariances.grad_fn is None:
         _refuse(_indefinite(request.covariances), "covariances: {} have a negative eigenvalue")
-    _check_rigid(request.viewmat)
+    _check_rigid(tuple(map(tuple, request.viewmat.tolist())))
 
 
 def _refuse(wrong: Tensor, text: str) -> None:
@@ -216,8 +217,9 @@ def _indefinite(covariances: Tensor) -> Tensor:
     return negative | beyond | (determinant < -4 * CORRELATED)
 
 
-def _check_rigid(viewmat: Tensor) -> None:
-    view = np.array(viewmat.tolist())
+@lru_cache(maxsize=256)  # a video has one camera; what is refused is refused again
+def _check_rigid(viewmat: tuple[tuple[float, ...], ...]) -> None:
+    view = np.array(viewmat)
     axes, identity = view[:3, :3], np.eye(4)
     off = [*(axes @ axes.T - identity[:3, :3]).flat, np.linalg.det(axes) - 1.0, *(view[3] - identity[3])]
     if np.abs(off).max() > RIGID:

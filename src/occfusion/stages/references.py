@@ -52,7 +52,9 @@ class _Kept:
 
     @classmethod
     def of(cls, rgb: NDArray[np.uint8], region: NDArray[np.bool_]) -> _Kept:
-        box = bounding_box(np.asarray(rgb.any(axis=2)))
+        box = bounding_box(
+            (rgb[..., 0] | rgb[..., 1] | rgb[..., 2]) != 0
+        )  # a tenth of `any` over three numbers
         x, y, w, h = box
         return cls(rgb[y : y + h, x : x + w].copy(), box, packed(region))
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from occfusion.geometry.boxes import crop
+from occfusion.geometry.boxes import crop, mask_bounds
 from occfusion.human.avatar import Avatar
 from occfusion.quality import losses
 from occfusion.settings.stages import RefineSettings
@@ -74,7 +74,11 @@ class RefineStage(AvatarStage):
             mask = with_outline(target.mask, frame, box, self.uncertain, self.outlines, unseen)
             terms["mask"] = losses.l2(rendering.alpha, mask.to(rgb.dtype), weights=weights)
         if settings.references.weight and reference is not None:
-            terms["gen"] = losses.l1(rgb, reference.rgb, reference.region)
+            parts: tuple[Tensor, ...] = (rgb, reference.rgb, reference.region)
+            if (around := mask_bounds(reference.region)) is not None:  # often a corner of the crop
+                left, top, right, bottom = around
+                parts = tuple(crop(part, (left, top, right - left, bottom - top)) for part in parts)
+            terms["gen"] = losses.l1(*parts)
         if (perceptual := self.perceptual_due()) is not None:
             wanted, looked_at = structure or (target.rgb, target.visible_mask)
             window = self.perceptual_box(looked_at)
