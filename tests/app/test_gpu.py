@@ -22,8 +22,11 @@ from occfusion.show.views import TRAIN
 from occfusion.splat.backends import registry
 from occfusion.stages.interruption import Interrupted, SignalGuard
 
-needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
-pytestmark = [needs_cuda, pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device is named"),
+    pytest.mark.slow,
+    pytest.mark.timeout(600),
+]
 
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 WHOLE = (

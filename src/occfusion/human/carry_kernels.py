@@ -253,8 +253,8 @@ def _backward(
             to_quats[n, 1] = (b - x * along) * inverse_length
             to_quats[n, 2] = (c - y * along) * inverse_length
             to_quats[n, 3] = (d - z * along) * inverse_length
-            rx, ry, rz = _applied(_transposed(posed), mx, my, mz)
-            to_means[n, 0], to_means[n, 1], to_means[n, 2] = _applied(_transposed(rest), rx, ry, rz)
+            rx, ry, rz = _row(mx, my, mz, posed)
+            to_means[n, 0], to_means[n, 1], to_means[n, 2] = _row(rx, ry, rz, rest)
             if needs_offsets:
                 to_offsets[n, 0], to_offsets[n, 1], to_offsets[n, 2] = rx, ry, rz
             if needs_posed:

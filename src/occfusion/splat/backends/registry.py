@@ -45,7 +45,7 @@ def resolve_backend(name: str, device: torch.device, dtype: torch.dtype = torch.
 def fitting_backend(name: str, device: torch.device) -> str:
     """Returns `name` where it runs on a device, else the best backend there.
 
-    For pictures outside training, which are made where the avatar is: on the host, between stages.
+    For pictures outside training, which are made where the avatar is: on the host, where it is read from a file.
     """
     return resolve_backend(name if DEVICES.get(name, device.type) == device.type else "auto", device)
 
