@@ -18,8 +18,8 @@ WARM_UP_SIZE = 16
 class Renderer:
     """Draws posed Gaussians with one backend; built once a run and handed to all that draw.
 
-    A picture is made where the Gaussians are. Of an avatar that is read from a file that can be where the backend does not
-    run; the best one there is taken then.
+    A picture is made where the Gaussians are. Of an avatar that is read from a file that can be where the backend does
+    not run; the best one there is taken then.
 
     Args:
         backend: rasteriser backend; `auto` for the best on `device`.
