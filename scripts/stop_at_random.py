@@ -51,14 +51,15 @@ KEPT = (
 def command(place: Path, kind: str, name: str) -> list[str]:
     """Returns a command on the tiny scene; each shares with nobody.
 
-    Masks and references are the truth's: they pass through the same stages as a network's, which take far longer.
+    Masks and references are the truth's, and nothing is completed: they pass through the same stages as a network's,
+    which take far longer.
     """
     scene = [
         "dataset=zju", f"dataset.root={place}", "dataset.scene=001-clean",
         f"body.path={place}/001-clean/body.npz", "optim.steps=16", "refine.steps=8", "optim.lambda_lpips=0",
         "refine.lambda_lpips=0", "evaluation.perceptual=false", "evaluation.curve_images=1", "evaluation.turntable=0",
         "init.source=truth", "refine.references.source=truth", "registration=off", "optim.align_poses=false",
-        "evaluation.pictures=false",
+        "evaluation.pictures=false", "optim.unseen_colors=nearest",
         "trainer.checkpoint_every=5", "trainer.accelerator=cpu", f"shared_dir={place / name / 'shared'}",
     ]  # fmt: skip
     prior = [
@@ -80,9 +81,12 @@ def command(place: Path, kind: str, name: str) -> list[str]:
 def preload() -> None:
     """Imports what commands import, so that processes forked from this one need not: most stops then fall into work."""
     sys.path[:0] = [str(ROOT / "src")]
-    import occfusion.cli.synth
-    import occfusion.cli.train
-    import occfusion.run.app  # noqa: F401
+    from occfusion.cpu.loading import loading
+
+    with loading():  # nor do they search it for garbage
+        import occfusion.cli.synth
+        import occfusion.cli.train
+        import occfusion.run.app  # noqa: F401
 
 
 def run_until(

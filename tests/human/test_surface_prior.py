@@ -14,9 +14,21 @@ from occfusion.human import Avatar, Gaussians
 from occfusion.human.body import Body
 from occfusion.human.observability import UNSURE, Observability, ObservedSurface, canonical_views
 from occfusion.human.rendering import Renderer
+from occfusion.human.surface_terms import (
+    DEPTH_SCALE,
+    EXTENT_SCALE,
+    INWARDS,
+    LONG,
+    OUTWARDS,
+    THICK,
+    KnownSurface,
+    depth_and_extent,
+    hold,
+)
 from occfusion.settings.stages import SurfaceSettings
-from occfusion.stages.surface import DEPTH_SCALE, EXTENT_SCALE, INWARDS, LONG, OUTWARDS, THICK, SurfacePrior
+from occfusion.stages.surface import SurfacePrior
 
+BACKENDS = pytest.mark.parametrize("backend", ["torch", "numba"])
 ALL = SurfaceSettings(depth=1.0, extent=1.0, outline=1.0, backface=1.0, every=1)
 NOTHING = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0, hold=False)
 
@@ -41,13 +53,15 @@ def avatar_on(body: Body, opacity: float = 0.95) -> Avatar:
     return avatar
 
 
-def prior_of(body: Body, settings: SurfaceSettings = ALL, known: Observability | None = None) -> SurfacePrior:
+def prior_of(
+    body: Body, settings: SurfaceSettings = ALL, known: Observability | None = None, backend: str = "torch"
+) -> SurfacePrior:
     known = known or seen_from_front(body)
     points, faces = body.da_vertices().double().numpy(), body.faces.numpy()
     thickness = np.full(len(points), 0.01)
     views = canonical_views(points, faces, known, thickness, 0.015)
     return SurfacePrior(
-        known, vertex_normals(points, faces), thickness, views, settings, renderer=Renderer("torch"), seed=0
+        known, vertex_normals(points, faces), thickness, views, settings, renderer=Renderer(backend), seed=0
     )
 
 
@@ -70,7 +84,8 @@ def test_views_are_asked_at_every_kth_step_with_k_times_the_weight(free_body):
     assert prior.weight("surface_outline") == 1.5 and prior.weight("surface_backface") == 0.75
 
 
-def test_depth_and_extent_against_loops(free_body):
+@BACKENDS
+def test_depth_and_extent_against_loops(free_body, backend):
     avatar = avatar_on(free_body)
     generator = torch.Generator().manual_seed(0)
     with torch.no_grad():
@@ -83,7 +98,7 @@ def test_depth_and_extent_against_loops(free_body):
     known = Observability(
         known.moments, known.passes, axis, rng.uniform(0, 1, len(axis)), known.unseen, known.is_seen
     )
-    terms = prior_of(free_body, ALL, known).terms(avatar, 0)
+    terms = prior_of(free_body, ALL, known, backend).terms(avatar, 0)
     gaussians, depth, extent = avatar.gaussians, [], []
     normals = vertex_normals(free_body.da_vertices().double().numpy(), free_body.faces.numpy())
     rotations_scales = gaussians.roots().detach().double().numpy()
@@ -150,19 +165,22 @@ def test_gaussians_may_begin_off_the_body_where_clothes_are(free_body):
     assert min(costs[0], costs[1], costs[3]) > 1e-4 and costs[0] > costs[1]
 
 
-def test_only_what_stands_off_along_the_line_of_sight_is_pulled_back(free_body):
+@BACKENDS
+def test_only_what_stands_off_along_the_line_of_sight_is_pulled_back(free_body, backend):
     avatar = avatar_on(free_body)
     with torch.no_grad():
         avatar.gaussians.means += torch.tensor([0.03, 0.02, 0.03])
-    prior_of(free_body, SurfaceSettings(1.0, 0.0, 0.0, 0.0)).terms(avatar, 0)["surface_depth"].backward()
+    prior = prior_of(free_body, SurfaceSettings(1.0, 0.0, 0.0, 0.0), backend=backend)
+    prior.terms(avatar, 0)["surface_depth"].backward()
     gradient = avatar.gaussians.means.grad
     assert (gradient[:, 2] > 0).float().mean() > 0.9
     assert (gradient[:, :2] == 0).all()
 
 
-def test_gradients_by_differences(free_body):
+@BACKENDS
+def test_gradients_by_differences(free_body, backend):
     avatar = avatar_on(free_body, 0.6)
-    prior = behind(prior_of(free_body))
+    prior = behind(prior_of(free_body, backend=backend))
     for name, parameter in (
         ("surface_depth", avatar.gaussians.means),
         ("surface_extent", avatar.gaussians.log_scales),
@@ -199,9 +217,10 @@ def test_the_front_does_not_shine_through_a_closed_back(free_body):
     assert float(gradient[is_back].clamp(max=0).sum()) < 0.0 < float(gradient[~is_back].clamp(min=0).sum())
 
 
-def test_a_needle_and_a_stray_are_brought_back_by_descent(free_body):
+@BACKENDS
+def test_a_needle_and_a_stray_are_brought_back_by_descent(free_body, backend):
     avatar = avatar_on(free_body)
-    prior = prior_of(free_body, SurfaceSettings(1.0, 1.0, 0.0, 0.0))
+    prior = prior_of(free_body, SurfaceSettings(1.0, 1.0, 0.0, 0.0), backend=backend)
     gaussians = avatar.gaussians
     with torch.no_grad():
         gaussians.means[:50, 2] += 0.3
@@ -218,7 +237,8 @@ def test_a_needle_and_a_stray_are_brought_back_by_descent(free_body):
     assert float(gaussians.scales[50:100, 2].detach().max()) < 3 * EXTENT_SCALE
 
 
-def test_extreme_gaussians_have_finite_gradients(free_body):
+@BACKENDS
+def test_extreme_gaussians_have_finite_gradients(free_body, backend):
     avatar = avatar_on(free_body)
     with torch.no_grad():
         avatar.gaussians.means[0] = 1e3
@@ -226,7 +246,7 @@ def test_extreme_gaussians_have_finite_gradients(free_body):
         avatar.gaussians.log_scales[2] = -60.0
         avatar.gaussians.raw_quats[3] = 1e-20
         avatar.gaussians.opacity_logits[4] = 80.0
-    total = sum(prior_of(free_body).terms(avatar, 0).values())
+    total = sum(prior_of(free_body, backend=backend).terms(avatar, 0).values())
     total.backward()
     assert math.isfinite(float(total.detach()))
     for parameter in avatar.gaussians.parameters():
@@ -251,8 +271,9 @@ def unruly(body: Body) -> Avatar:
     return avatar
 
 
-def test_nothing_leaves_the_room_that_ignorance_gives(free_body):
-    avatar, prior = unruly(free_body), prior_of(free_body)
+@BACKENDS
+def test_nothing_leaves_the_room_that_ignorance_gives(free_body, backend):
+    avatar, prior = unruly(free_body), prior_of(free_body, backend=backend)
     prior.hold(avatar)
     gaussians, rows = avatar.gaussians, avatar.gaussians.vertex_index
     points, faces = free_body.da_vertices().double().numpy(), free_body.faces.numpy()
@@ -265,8 +286,9 @@ def test_nothing_leaves_the_room_that_ignorance_gives(free_body):
         assert float(along.abs().max()) <= bound + 1e-5
 
 
-def test_holding_twice_is_holding_once_and_what_is_inside_stays(free_body):
-    avatar, prior = unruly(free_body), prior_of(free_body)
+@BACKENDS
+def test_holding_twice_is_holding_once_and_what_is_inside_stays(free_body, backend):
+    avatar, prior = unruly(free_body), prior_of(free_body, backend=backend)
     prior.hold(avatar)
     once = {name: value.clone() for name, value in avatar.gaussians.state_dict().items()}
     prior.hold(avatar)
@@ -287,3 +309,64 @@ def test_who_was_seen_from_all_round_is_not_held(free_body, ignorance):
     prior_of(free_body, known=seen_from_front(free_body, ignorance)).hold(avatar)
     for name, value in avatar.gaussians.state_dict().items():
         assert torch.equal(value, before[name])
+
+
+def known_of(body: Body, dtype: torch.dtype) -> KnownSurface:
+    """All kinds of places of a body, known more and less."""
+    generator = torch.Generator().manual_seed(4)
+    count = len(body.da_vertices())
+    normals, axis = (
+        torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1) for _ in range(2)
+    )
+    thickness, ignorance = (torch.rand(count, generator=generator) for _ in range(2))
+    vertices = body.da_vertices()
+    values = vertices, normals, vertices + 0.01 * normals, 0.02 * thickness, axis, ignorance
+    return KnownSurface(*(value.to(dtype) for value in values))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_kernels_give_what_they_are_specified_by(free_body, threads):
+    """Costs, all three gradients and what is held, of thousands that are off, long and turned; against float64."""
+    fast, exact = unruly(free_body).gaussians, unruly(free_body).gaussians.double()
+    with torch.no_grad():
+        for gaussians in (fast, exact):
+            gaussians.log_scales[7] = 3.0  # beyond the bounds of scales: no gradient
+            gaussians.log_scales[8] = -20.0
+            gaussians.raw_quats[9] = 0.0
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(threads)
+        found = depth_and_extent(fast, known_of(free_body, torch.float32))
+        (0.3 * found[0] + 0.7 * found[1]).backward()
+        hold(fast, known_of(free_body, torch.float32))
+    finally:
+        torch.set_num_threads(before)
+    expected = depth_and_extent(exact, known_of(free_body, torch.float64), compiled=False)
+    (0.3 * expected[0] + 0.7 * expected[1]).backward()
+    hold(exact, known_of(free_body, torch.float64), compiled=False)
+    for a, b in zip(found, expected, strict=True):
+        assert float(a.detach()) == pytest.approx(float(b.detach()), rel=1e-5)
+    for name in ("means", "raw_quats", "log_scales"):
+        a, b = getattr(fast, name), getattr(exact, name)
+        assert float((a.grad.double() - b.grad).abs().max()) < 1e-5 * float(b.grad.abs().max()), name
+        torch.testing.assert_close(a.detach().double(), b.detach(), rtol=1e-5, atol=1e-5)
+    assert float(fast.log_scales.grad[7:9].abs().max()) == 0.0 == float(fast.raw_quats.grad[9].abs().max())
+
+
+def test_what_is_held_is_told_to_whoever_keeps_values(free_body):
+    gaussians = unruly(free_body).gaussians
+    before = gaussians.means._version, gaussians.log_scales._version
+    hold(gaussians, known_of(free_body, torch.float32))
+    assert (gaussians.means._version > before[0]) and (gaussians.log_scales._version > before[1])
+
+
+def test_who_asks_one_term_gets_its_gradient_alone(free_body):
+    gradients = []
+    for compiled in (True, False):
+        gaussians = unruly(free_body).gaussians
+        depth_and_extent(gaussians, known_of(free_body, torch.float32), compiled=compiled)[0].backward()
+        gradients.append(gaussians)
+    fast, plain = gradients
+    torch.testing.assert_close(fast.means.grad, plain.means.grad, rtol=1e-4, atol=1e-9)
+    for name in ("raw_quats", "log_scales"):
+        assert not getattr(fast, name).grad.any() and getattr(plain, name).grad is None

@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from occfusion.cpu.compilation import array_of, inline, kernel, run_parts
-from occfusion.geometry.rotation import QUATERNION_FLOOR
+from occfusion.geometry.quaternion_kernels import Array, Matrix, rotation, to_quaternion, unit
 
-Array = NDArray[np.float32]
 BLOCK = 1024
 """Gaussians that a thread takes at a time."""
 
@@ -67,33 +65,7 @@ def warm_up() -> None:
     (moved.sum() + covariances.sum() + linear.sum()).backward()
 
 
-Matrix = tuple[np.float32, ...]
-"""Nine numbers, row by row. Those of a Gaussian are no arrays: they stay in registers, and need not be read again for
-fear that what was written elsewhere has changed them."""
 Vector = tuple[np.float32, np.float32, np.float32]
-
-
-@inline
-def _unit(quats: Array, n: int) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """A unit quaternion and 1 / length; the identity and 0 without a direction."""
-    w, x, y, z = quats[n, 0], quats[n, 1], quats[n, 2], quats[n, 3]
-    largest = max(max(abs(w), abs(x)), max(abs(y), abs(z)))
-    if largest < np.float32(QUATERNION_FLOOR):  # what is not finite goes on, and shows
-        zero = np.float32(0)
-        return np.float32(1), zero, zero, zero, zero
-    w, x, y, z = w / largest, x / largest, y / largest, z / largest
-    inverse = np.float32(1) / np.sqrt(w * w + x * x + y * y + z * z)
-    return w * inverse, x * inverse, y * inverse, z * inverse, inverse / largest
-
-
-@inline
-def _rotation(w: np.float32, x: np.float32, y: np.float32, z: np.float32) -> Matrix:
-    one, two = np.float32(1), np.float32(2)
-    return (
-        one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y),
-        two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x),
-        two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y),
-    )  # fmt: skip
 
 
 @inline
@@ -184,8 +156,8 @@ def _forward(
         for n in range(begin, min(begin + BLOCK, len(means))):
             rest, posed = _columns(rest_maps, n), _columns(posed_maps, n)
             linear = _product(posed, rest)
-            w, x, y, z, _ = _unit(quats, n)
-            turned = _product(linear, _rotation(w, x, y, z))
+            w, x, y, z, _ = unit(quats, n)
+            turned = _product(linear, rotation(w, x, y, z))
             root = _scaled(turned, scales[n, 0], scales[n, 1], scales[n, 2])
             square = _product(root, _transposed(root))
             x, y, z = _at_rest(means, offsets, rest_maps, n, rest)
@@ -225,8 +197,8 @@ def _backward(
         for n in range(begin, min(begin + BLOCK, len(means))):
             rest, posed = _columns(rest_maps, n), _columns(posed_maps, n)
             linear = _product(posed, rest)
-            w, x, y, z, inverse_length = _unit(quats, n)
-            turn = _rotation(w, x, y, z)
+            w, x, y, z, inverse_length = unit(quats, n)
+            turn = rotation(w, x, y, z)
             sx, sy, sz = scales[n, 0], scales[n, 1], scales[n, 2]
             mx, my, mz = for_moved[n, 0], for_moved[n, 1], for_moved[n, 2]
             each = for_covariances[n]
@@ -241,18 +213,9 @@ def _backward(
             to_scales[n, 1] = own[1] * turn[1] + own[4] * turn[4] + own[7] * turn[7]
             to_scales[n, 2] = own[2] * turn[2] + own[5] * turn[5] + own[8] * turn[8]
             own = _scaled(own, sx, sy, sz)
-            # odd parts go with w, even parts pair the others
-            wx, wy, wz = own[7] - own[5], own[2] - own[6], own[3] - own[1]
-            xy, xz, yz = own[1] + own[3], own[2] + own[6], own[5] + own[7]
-            a = two * (x * wx + y * wy + z * wz)
-            b = two * (w * wx + y * xy + z * xz - two * x * (own[4] + own[8]))
-            c = two * (w * wy + x * xy + z * yz - two * y * (own[0] + own[8]))
-            d = two * (w * wz + x * xz + y * yz - two * z * (own[0] + own[4]))
-            along = a * w + b * x + c * y + d * z
-            to_quats[n, 0] = (a - w * along) * inverse_length
-            to_quats[n, 1] = (b - x * along) * inverse_length
-            to_quats[n, 2] = (c - y * along) * inverse_length
-            to_quats[n, 3] = (d - z * along) * inverse_length
+            to_quats[n, 0], to_quats[n, 1], to_quats[n, 2], to_quats[n, 3] = to_quaternion(
+                own, w, x, y, z, inverse_length
+            )
             rx, ry, rz = _row(mx, my, mz, posed)
             to_means[n, 0], to_means[n, 1], to_means[n, 2] = _row(rx, ry, rz, rest)
             if needs_offsets:

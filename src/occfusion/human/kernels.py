@@ -24,13 +24,14 @@ def compile_kernels(renderer: Renderer) -> None:
             module.warm_up()
         return
     from occfusion.geometry import box_kernels
-    from occfusion.human import carry_kernels, color_kernels
+    from occfusion.human import carry_kernels, color_kernels, surface_kernels
     from occfusion.quality import fused
     from occfusion.splat.backends.numba import ahead
 
     ahead.wait()
     renderer.warm_up()
-    for module in (fused, carry_kernels, color_kernels, rotation_kernels, skinning_kernels, box_kernels):
+    drawn = (carry_kernels, color_kernels, surface_kernels, rotation_kernels, skinning_kernels, box_kernels)
+    for module in (fused, *drawn):
         module.warm_up()
 
 

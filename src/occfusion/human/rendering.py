@@ -58,6 +58,26 @@ class Renderer:
             limits=Limits(dilation=cloud.dilation),
         )  # fmt: skip
 
+    def canonical(self, avatar: Avatar, colors: Tensor, camera: Camera) -> Rendering:
+        """Returns the picture of an avatar's canonical pose over black; differentiable.
+
+        The rasteriser takes turns and scales as they are: a covariance that no pose has changed, with its gradient,
+        costs autograd as much as the picture.
+
+        Args:
+            avatar: on any device.
+            colors: of its Gaussians, `[N, 3]`, 0..1.
+            camera: on any device.
+        """
+        gaussians = avatar.gaussians
+        device = gaussians.means.device
+        camera = camera.to(device)
+        return rasterize(
+            gaussians.means, gaussians.raw_quats, gaussians.scales, gaussians.opacities, colors, camera.viewmat,
+            camera.K, camera.width, camera.height, backend=fitting_backend(self.backend, device),
+            limits=Limits(dilation=avatar.dilation),
+        )  # fmt: skip
+
     @torch.inference_mode()
     def frame(self, avatar: Avatar, frame: Frame) -> Rendering:
         """Returns the avatar in a frame's pose as that frame's camera sees it, over black; no gradients."""
@@ -67,20 +87,16 @@ class Renderer:
 
     def canonical_alpha(self, avatar: Avatar, camera: Camera) -> Tensor:
         """Returns the occupancy of the canonical pose, `[H, W]`; differentiable, colours left out."""
-        cloud = avatar.canonical(camera.centre)
-        return self._alpha(avatar, cloud.means, cloud.covariances, camera)
+        return self.canonical(avatar, torch.zeros_like(avatar.gaussians.means), camera).alpha
 
     @torch.no_grad()
     def outline(self, avatar: Avatar, frame: Frame) -> Tensor:
         """Returns what an avatar covers by more than half in a frame's pose and camera, bool `[H, W]`."""
         pose = frame.pose.to(avatar.gaussians.means.device)
         means, covariances, _ = avatar.deform(pose)
-        return self._alpha(avatar, means, covariances, frame.camera) > 0.5
-
-    def _alpha(self, avatar: Avatar, means: Tensor, covariances: Tensor, camera: Camera) -> Tensor:
         black = torch.zeros_like(means)
         cloud = Cloud(means, covariances, avatar.gaussians.opacities, black, avatar.dilation)
-        return self.draw(cloud, camera).alpha
+        return self.draw(cloud, frame.camera).alpha > 0.5
 
     def warm_up(self) -> float:
         """Draws a tiny picture forwards and backwards; returns the seconds that it took.

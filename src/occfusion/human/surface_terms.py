@@ -1,0 +1,116 @@
+"""How Gaussians keep to the dressed body where a video says nothing of their depth: two penalties, and bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.autograd.graph import increment_version
+
+from occfusion.geometry.rotation import quaternion_to_matrix
+from occfusion.human.gaussians import Gaussians
+
+DEPTH_SCALE = 0.010
+"""Metres that a Gaussian may stand off the dressed body, along a direction of which nothing is known, before it
+counts."""
+EXTENT_SCALE = 0.005
+"""Standard deviation along it, metres, likewise."""
+
+OUTWARDS, INWARDS = 0.005, 0.015
+"""Metres that a Gaussian may stand outside of clothes, and inside the body, where nothing is known of its depth."""
+THICK, LONG = 0.002, 0.006
+"""Standard deviation that it may have there across the surface, and along the direction of which nothing is known;
+vertices of a body are about 0.017 m apart."""
+HELD_FROM = 0.2
+"""Ignorance from which on a Gaussian is bounded."""
+LEAST_COSINE = 1e-3
+"""Between an axis of a Gaussian and a direction that it is bounded along: those at right angles are not."""
+
+
+@dataclass(frozen=True)
+class KnownSurface:
+    """A canonical body's surface and what is known of it, by vertex.
+
+    Attributes:
+        vertices: `[V, 3]`, metres.
+        normals: `[V, 3]`, of length 1.
+        dressed: the surface of the clothes, `[V, 3]`, metres.
+        thickness: of the clothes, `[V]`, metres, not negative.
+        axis: the direction of which least is known, `[V, 3]`, of length 1.
+        ignorance: how little, `[V]`, 0 to 1.
+    """
+
+    vertices: Tensor
+    normals: Tensor
+    dressed: Tensor
+    thickness: Tensor
+    axis: Tensor
+    ignorance: Tensor
+
+
+def depth_and_extent(
+    gaussians: Gaussians, surface: KnownSurface, *, compiled: bool = True
+) -> tuple[Tensor, Tensor]:
+    """Returns how far Gaussians stand off the dressed body along an unknown direction, and how far they reach along it.
+
+    Each is the mean over all Gaussians of `i (sqrt(1 + x^2) - 1)`, i the ignorance at their vertex, x the distance
+    from the surface, or the standard deviation, along the axis there in units of `DEPTH_SCALE` and `EXTENT_SCALE`: half
+    of x^2 where it is small, and no faster than x far out.
+
+    Args:
+        gaussians: canonical.
+        surface: of the body that they are measured from.
+        compiled: by the kernels of `surface_kernels.py`, of which this is the specification, where they take the
+            Gaussians: float32 on a CPU.
+    """
+    if compiled and _are_taken(gaussians):
+        # numba is loaded where it is used
+        from occfusion.human import surface_kernels
+
+        return surface_kernels.depth_and_extent(gaussians, surface)
+    rows = gaussians.vertex_index
+    axis, ignorance = surface.axis[rows], surface.ignorance[rows]
+    off = ((gaussians.means - surface.dressed[rows]) * axis).sum(dim=1) / DEPTH_SCALE
+    along = (gaussians.roots() * axis[:, :, None]).sum(dim=1) / EXTENT_SCALE
+    squares = off.square(), along.square().sum(dim=1)
+    depth, extent = ((ignorance * ((1.0 + square).sqrt() - 1.0)).mean() for square in squares)
+    return depth, extent
+
+
+@torch.no_grad()
+def hold(gaussians: Gaussians, surface: KnownSurface, *, compiled: bool = True) -> None:
+    """Brings Gaussians back that left the room that the video gives them; changes them in place.
+
+    A penalty that is weighed against colours is paid by those that a wrong pose pulls hardest. Bounds are not: in
+    units of what is allowed where nothing is known, the room grows as the ignorance falls.
+
+    Args:
+        gaussians: canonical.
+        surface: of the body that they are held to.
+        compiled: as in `depth_and_extent`.
+    """
+    if compiled and _are_taken(gaussians):
+        from occfusion.human import surface_kernels
+
+        surface_kernels.hold(gaussians, surface)
+        increment_version([gaussians.means, gaussians.log_scales])  # what is kept of them is asked for anew
+        return
+    held = (surface.ignorance[gaussians.vertex_index] >= HELD_FROM).nonzero()[:, 0]
+    rows = gaussians.vertex_index[held]
+    room, normal, axis = 1.0 / surface.ignorance[rows], surface.normals[rows], surface.axis[rows]
+    means = gaussians.means[held]
+    height = ((means - surface.vertices[rows]) * normal).sum(dim=1)
+    allowed = height.clamp(min=-INWARDS * room, max=surface.thickness[rows] + OUTWARDS * room)
+    gaussians.means[held] = means + (allowed - height)[:, None] * normal
+    turns = quaternion_to_matrix(gaussians.raw_quats[held])
+    across, along = (
+        (turns * direction[:, :, None]).sum(dim=1).abs().clamp(min=LEAST_COSINE)
+        for direction in (normal, axis)
+    )
+    longest = room[:, None] * torch.minimum(THICK / across, LONG / along)
+    gaussians.log_scales[held] = torch.minimum(gaussians.log_scales[held], longest.log())
+
+
+def _are_taken(gaussians: Gaussians) -> bool:
+    return gaussians.means.dtype == torch.float32 and gaussians.means.device.type == "cpu"
