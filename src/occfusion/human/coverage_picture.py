@@ -43,9 +43,10 @@ def draw_coverage(body: Body, coverage: BodyCoverage) -> NDArray[np.uint8]:
         pixels = np.column_stack([0.5 * width + scale * points @ across, 0.5 * HEIGHT - scale * points[:, 1]])
         seen = rasterize_mesh(pixels, FAR - points @ towards, faces, width, HEIGHT)
         shade = 0.45 + 0.55 * np.clip(normals @ towards, 0.0, 1.0)
-        lit = (colours * shade[:, None])[faces[seen.face]]  # [H, W, 3 corners, 3]
-        drawn = (lit * seen.barycentrics[..., None]).sum(axis=2)
-        picture = np.where((seen.face != NO_FACE)[..., None], drawn, 255.0).round().astype(np.uint8)
+        shows = seen.face != NO_FACE
+        lit = (colours * shade[:, None])[faces[seen.face[shows]]]  # [pixels of the body, 3 corners, 3]
+        picture = np.full((HEIGHT, width, 3), 255, dtype=np.uint8)
+        picture[shows] = np.einsum("pck,pc->pk", lit, seen.barycentrics[shows]).round().astype(np.uint8)
         _write(picture, name, (8, 18), 0.5)
         columns.append(picture)
     sheet = np.concatenate(columns, axis=1)
