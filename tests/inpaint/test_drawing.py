@@ -17,7 +17,7 @@ from occfusion.inpaint.partial import take_partial
 from occfusion.settings.stages import OptimSettings
 from occfusion.splat import Limits, rasterize
 from occfusion.stages.optim import OptimStage
-from occfusion.types import Camera, Cloud, Frame, Pose
+from occfusion.types import Camera, Cloud, Frame, Pose, Rendering
 
 SIZE = 48
 
@@ -62,6 +62,38 @@ def test_every_picture_of_an_avatar_has_its_dilation(frame: Frame, dilation: flo
     stage = OptimStage(avatar, settings, perceptual=None, densifier=None, renderer=renderer, seed=0)
     rendering, (x, y, width, height) = stage._render_crop(frame)
     torch.testing.assert_close(rendering.alpha.detach(), want[y : y + height, x : x + width])
+
+
+@pytest.mark.parametrize("backend", ["torch", "numba"])
+def test_the_canonical_picture_and_its_gradients_are_those_of_covariances(frame: Frame, backend: str) -> None:
+    """Of long, turned Gaussians whose turns are not of length 1; two of the colours' channels count as well."""
+    avatar, generator = Avatar(embedded_body(), dilation=0.3), torch.Generator().manual_seed(0)
+    gaussians = avatar.gaussians
+    with torch.no_grad():
+        gaussians.opacity_logits.fill_(1.0)
+        gaussians.raw_quats += 0.5 * torch.randn(gaussians.raw_quats.shape, generator=generator)
+        gaussians.log_scales += 0.5 * torch.randn(gaussians.log_scales.shape, generator=generator)
+    # as the surface prior's views: the pose stands about its own origin
+    viewmat = torch.eye(4)
+    viewmat[1, 1] = viewmat[2, 2] = -1.0
+    viewmat[2, 3] = 3.0
+    camera = replace(frame.camera, viewmat=viewmat)
+    colors = torch.rand(gaussians.num_gaussians, 3, generator=generator)
+    weight = torch.rand(SIZE, SIZE, 4, generator=generator)
+    learned = [gaussians.means, gaussians.raw_quats, gaussians.log_scales, gaussians.opacity_logits]
+
+    def of_covariances() -> Rendering:
+        cloud = avatar.canonical(camera.centre)
+        return Renderer("torch").draw(replace(cloud, colors=colors), camera)
+
+    found = []
+    for draw in (lambda: Renderer(backend).canonical(avatar, colors, camera), of_covariances):
+        drawn = draw()
+        picture = torch.cat([drawn.rgb, drawn.alpha[..., None]], dim=-1)
+        found.append([picture.detach(), *torch.autograd.grad((weight * picture).sum(), learned)])
+    assert float(found[0][0].max()) > 0.5
+    for a, b in zip(*found, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4 * float(b.abs().max()))
 
 
 def test_between_stages_pictures_are_made_on_the_host_whatever_trains(frame: Frame) -> None:
