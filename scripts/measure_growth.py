@@ -15,6 +15,7 @@ import json
 import math
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import time
@@ -83,6 +84,7 @@ def measure(work: Path, point: Point) -> dict[str, float]:
     torch.set_num_threads(1)
     data = work / point.data
     own = work / "runs" / f"{point.data}-{point.gaussians}"
+    shutil.rmtree(own, ignore_errors=True)  # a run that is finished would start nothing
     overrides = [
         "dataset=zju", f"dataset.root={data}", f"dataset.scene={SCENE}", f"dataset.image_size={point.size}",
         f"dataset.train_frames=[0,{point.frames},1]", "body=smpl", f"body.path={data / SCENE / 'body.npz'}",
