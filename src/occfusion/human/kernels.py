@@ -30,8 +30,11 @@ def compile_kernels(renderer: Renderer) -> None:
 
     ahead.wait()
     renderer.warm_up()
-    drawn = (carry_kernels, color_kernels, surface_kernels, rotation_kernels, skinning_kernels, box_kernels)
-    for module in (fused, *drawn):
+    of_gaussians, of_joints = (
+        (carry_kernels, color_kernels, surface_kernels),
+        (rotation_kernels, skinning_kernels),
+    )
+    for module in (fused, *of_gaussians, *of_joints, box_kernels):
         module.warm_up()
 
 

@@ -52,6 +52,7 @@ class SurfacePrior:
         self.seed = seed
         self._views = [view.to(renderer.device) for view in views]
         self._compiled = renderer.backend == "numba"
+        self._known: KnownSurface | None = None
         self._holds = settings.hold and bool((known.ignorance >= HELD_FROM).any())
         clothes = dressed_heights(thickness, known)[:, None] * normals
         self._axis, self._ignorance, self._normals, self._clothes, self._thickness = (
@@ -83,9 +84,16 @@ class SurfacePrior:
 
     def _surface(self, avatar: Avatar) -> KnownSurface:
         vertices = avatar.da_vertices
-        return KnownSurface(
-            vertices, self._normals, vertices + self._clothes, self._thickness, self._axis, self._ignorance
-        )
+        if self._known is None or self._known.vertices is not vertices:  # an avatar's body stays what it is
+            self._known = KnownSurface(
+                vertices,
+                self._normals,
+                vertices + self._clothes,
+                self._thickness,
+                self._axis,
+                self._ignorance,
+            )
+        return self._known
 
     def _seen_from_a_side(self, avatar: Avatar, step: int) -> dict[str, Tensor]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_039 + step)
