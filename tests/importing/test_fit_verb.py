@@ -73,6 +73,7 @@ def test_a_folder_without_bodies_gets_them(given, monkeypatch, capsys):
         _, joints = body(*(torch.tensor(row, dtype=torch.float32) for row in rows))
         a, b = joints.numpy() - joints.numpy()[0], truth[k] - truth[k, 0]
         assert np.linalg.norm(a - b, axis=1).mean() < 0.09
+    monkeypatch.chdir(folder)  # pictures are put where the command is given
     assert main(["check", str(folder / "clip"), "--layout", "video"]) == 0
 
 
