@@ -19,7 +19,7 @@ from hydra import compose, initialize_config_dir
 
 from occfusion.data import registration
 from occfusion.files.table import read_table, write_table
-from occfusion.observation import evidence, pose_alignment
+from occfusion.observation import evidence, exposure, pose_alignment
 from occfusion.observation.frames import misfit_of
 from occfusion.plan import decisions, hidden
 from occfusion.run.prepare import observe, observe_training_frames
@@ -72,9 +72,12 @@ THRESHOLDS = (
               "fewer frames of a whole person, and nothing is said of how poses fit", "{:.0f}".format),
     Threshold("most_hidden", "hidden.MOSTLY_HIDDEN", hidden.MOSTLY_HIDDEN,
               "distillation is on where occluded frames hide more, in the median", percent),
-    Threshold("lit", "decisions.LIT", decisions.LIT, "a lamp that explains less is left out", percent),
+    Threshold("lamps_differ", "decisions.AGREED", decisions.AGREED,
+              "a lamp on which two halves of the body differ by more is left out", percent),
     Threshold("lit_condition", "decisions.DETERMINED", decisions.DETERMINED,
               "a lamp of a larger condition is left out", "{:.1f}".format),
+    Threshold("exposure", "exposure.WORTH", exposure.WORTH,
+              "exposures that explain less of how points differ are left as they are", percent),
     Threshold("unseen", "hidden.MUCH_UNSEEN", hidden.MUCH_UNSEEN,
               "from more of the body unseen on, a network completes colours", percent),
     Threshold("turn", "decisions.TURNED", decisions.TURNED,
@@ -108,8 +111,11 @@ def statistics(make: Callable[[Sequence[str]], Settings]) -> dict[str, float | N
         measured = misfit_of(observed_frames)
         found[name] = None if measured is None else measured[0]
     found["whole"] = float(sum(not f.evidence.occluded for f in frames))
-    if aligned.key_light is not None:
-        found["lit"], found["lit_condition"] = aligned.key_light.explained, aligned.key_light.condition
+    light = aligned.light
+    if light is not None and light.key_light is not None:
+        found["lamps_differ"], found["lit_condition"] = light.disagreement, light.key_light.condition
+    if light is not None and light.exposure is not None:
+        found["exposure"] = light.exposure.explained
     if aligned.coverage is not None:
         found["unseen"] = aligned.coverage.shares()["unseen"]
     if aligned.surface is not None:

@@ -11,8 +11,10 @@ from occfusion.human.coverage import BodyCoverage
 from occfusion.human.observability import Observability, ObservedSurface
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import HIDDEN_SHARE, Evidence
+from occfusion.observation.exposure import Exposure, Gains
 from occfusion.observation.frames import ObservedFrame, PosedBody
 from occfusion.observation.key_light import KeyLight
+from occfusion.observation.light import Light
 from occfusion.observation.pose_alignment import Alignment
 from occfusion.plan import make as planning
 from occfusion.plan.decisions import box_reason
@@ -37,11 +39,11 @@ def frames(*shares: float) -> list[ObservedFrame]:
     ]
 
 
-LAMP = KeyLight(np.array([0.1, -0.2, 0.1]), 0.04, 0.02, 5.0)
+LIGHT = Light(KeyLight(np.array([0.1, -0.2, 0.1]), 0.04, 0.02, 5.0), 0.1)
 
 
 def made(settings: Settings, observed_frames: list[ObservedFrame] | None) -> planning.Plan:
-    return planning.make_plan(settings, SUMMARY, "torch", observed_frames, LAMP)
+    return planning.make_plan(settings, SUMMARY, "torch", observed_frames, LIGHT)
 
 
 def used(settings: Settings, observed_frames: list[ObservedFrame] | None) -> dict[str, bool]:
@@ -283,32 +285,65 @@ def test_a_full_plan_says_what_the_frames_hide_and_that_it_takes_all_for_occlude
     assert "takes all of them" in reason
 
 
-VECTOR = np.array([0.1, -0.2, 0.1])
+def light_of(disagreement: float = 0.1, condition: float = 5.0) -> Light:
+    return Light(KeyLight(np.array([0.1, -0.2, 0.1]), 0.04, 0.038, condition), disagreement)
 
 
 @pytest.mark.parametrize(
     ("overrides", "found", "lit"),
     [
-        ((), KeyLight(VECTOR, 0.04, 0.02, 5.0), True),
-        ((), KeyLight(VECTOR, 0.04, 0.038, 5.0), False),  # hardly anything is explained
-        ((), KeyLight(VECTOR, 0.04, 0.02, 500.0), False),  # it may be anywhere
+        ((), light_of(), True),
+        ((), light_of(disagreement=0.9), False),  # two halves of the body tell of different ones
+        ((), light_of(disagreement=float("inf")), False),  # one tells of none
+        ((), light_of(condition=500.0), False),  # it may be anywhere
+        ((), Light(), False),
         ((), None, False),
-        (("plan=full",), KeyLight(VECTOR, 0.04, 0.038, 5.0), True),
-        (("plan=full",), KeyLight(VECTOR, 0.04, 0.02, 500.0), False),
+        (("plan=full",), light_of(disagreement=0.9), True),
+        (("plan=full",), light_of(condition=500.0), False),
         (("variant=D",), None, False),
-        (("variant=D",), KeyLight(VECTOR, 0.04, 0.02, 5.0), True),
-        (("variant=D", "optim.key_light=false"), KeyLight(VECTOR, 0.04, 0.02, 5.0), False),
-        (("recipe=paper",), KeyLight(VECTOR, 0.04, 0.02, 5.0), False),
+        (("variant=D",), light_of(), True),
+        (("variant=D", "optim.key_light=false"), light_of(), False),
+        (("recipe=paper",), light_of(), False),
     ],
 )
-def test_a_lamp_is_used_where_it_explains_what_changes(
-    overrides: tuple[str, ...], found: KeyLight | None, lit: bool
+def test_a_lamp_is_used_where_the_video_tells_where_it_is(
+    overrides: tuple[str, ...], found: Light | None, lit: bool
 ) -> None:
     plan = planning.make_plan(settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), found)
     (decision,) = (d for d in plan.decisions if d.part == "key light")
     assert decision.used == lit == plan.settings.optim.key_light
     asked = settings_of(*overrides).optim.key_light
-    assert found is None or not asked or f"{found.explained:.0%}" in decision.reason
+    lamp = None if found is None else found.key_light
+    assert lamp is None or not asked or f"{lamp.explained:.0%}" in decision.reason
+
+
+def exposed(explained: float) -> Light:
+    nothing = np.zeros(0, np.int64)
+    exposure = Exposure(
+        Gains(nothing, np.zeros((0, 3)), nothing, np.zeros((0, 3)), 0.01, np.zeros(3)),
+        np.ones(3),
+        0.05,
+        explained,
+    )
+    return Light(exposure=exposure, gains=np.ones((12, 3)) if exposure.is_taken else None)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "found", "evened", "told"),
+    [
+        ((), exposed(0.3), True, "30%"),
+        ((), exposed(0.1), False, "10%"),
+        ((), Light(), False, "too little"),
+        (("exposure=off",), None, False, "off"),
+        (("recipe=paper",), None, False, "off"),
+    ],
+)
+def test_pictures_are_evened_where_exposure_wanders(
+    overrides: tuple[str, ...], found: Light | None, evened: bool, told: str
+) -> None:
+    plan = planning.make_plan(settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), found)
+    (decision,) = (d for d in plan.decisions if d.part == "evened exposure")
+    assert decision.used == evened and told in decision.reason
 
 
 def test_variants_differ_by_their_stages_and_terms_alone() -> None:
@@ -383,7 +418,7 @@ def surface_of(turn: float) -> ObservedSurface:
 
 def planned_for(surface: ObservedSurface | None, *overrides: str) -> planning.Plan:
     return planning.make_plan(
-        settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), LAMP, surface=surface
+        settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), LIGHT, surface=surface
     )
 
 
@@ -439,7 +474,7 @@ def covered(unseen: float) -> BodyCoverage:
 def test_colours_are_completed_where_much_of_the_body_is_unseen(overrides, unseen, completes):
     coverage = None if unseen is None else covered(unseen)
     plan = planning.make_plan(
-        settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), LAMP, coverage=coverage
+        settings_of(*overrides), SUMMARY, "torch", frames(*[0.0] * 12), LIGHT, coverage=coverage
     )
     assert {d.part: d.used for d in plan.decisions}["completed colours"] is completes
     assert (plan.settings.optim.unseen_colors == "prior") is completes

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from occfusion.observation.key_light import POINTS, STRONGEST, KeyLight, Sightings, fit_key_light, join
+from occfusion.observation.key_light import STRONGEST, KeyLight, fit_key_light
+from occfusion.observation.sightings import POINTS, Sightings, join
 
 LAMP = np.array([0.12, -0.2, 0.15])
 
@@ -28,7 +31,7 @@ def people(
     rest = generator.normal(size=(points, 3))
     rest /= np.linalg.norm(rest, axis=1, keepdims=True)
     parts = []
-    for k in np.linspace(-1.0, 1.0, frames):
+    for frame, k in enumerate(np.linspace(-1.0, 1.0, frames)):
         a, b = turn * k, 0.4 * turn * np.sin(3.0 * k)
         about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
         about_x = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
@@ -38,7 +41,7 @@ def people(
         colors = colors + noise * generator.normal(size=colors.shape)
         wrong = generator.uniform(size=len(seen)) < outliers
         colors[wrong] = generator.uniform(0, 1, (int(wrong.sum()), 3))
-        parts.append(Sightings(seen, colors, normals[seen]))
+        parts.append(Sightings(seen, colors, normals[seen], np.full(len(seen), frame)))
     return join(parts)
 
 
@@ -100,7 +103,7 @@ def test_turning_the_world_turns_the_lamp_and_brighter_colours_leave_it() -> Non
     sightings = people(noise=0.005)
     c, s = np.cos(0.7), np.sin(0.7)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    turned = Sightings(sightings.points, 0.5 * sightings.colors, sightings.normals @ turn.T)
+    turned = replace(sightings, colors=0.5 * sightings.colors, normals=sightings.normals @ turn.T)
     assert np.abs(found(turned).vector - turn @ found(sightings).vector).max() < 1e-3
 
 
@@ -117,14 +120,15 @@ def test_who_never_turns_does_not_tell() -> None:
 @pytest.mark.parametrize("colors", [0.0, 1.0])
 def test_one_colour_everywhere_tells_nothing(colors: float) -> None:
     sightings = people()
-    flat = Sightings(sightings.points, np.full_like(sightings.colors, colors), sightings.normals)
+    flat = replace(sightings, colors=np.full_like(sightings.colors, colors))
     assert fit_key_light(flat) is None
 
 
 def test_few_points_and_few_sightings_tell_nothing() -> None:
     assert fit_key_light(people(points=POINTS // 4)) is None
     assert fit_key_light(people(frames=4)) is None
-    empty = Sightings(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    none = np.zeros(0, np.int64)
+    empty = Sightings(none, np.zeros((0, 3)), np.zeros((0, 3)), none)
     assert fit_key_light(join([empty, empty])) is None
 
 

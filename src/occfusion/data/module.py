@@ -116,6 +116,14 @@ class HumanDataModule(L.LightningDataModule):
             views.corrections = self.registration.corrections
         return self.registration
 
+    def even_exposure(self, gains: NDArray[np.floating]) -> None:
+        """Has the colours of training frames divided by gains, from now on.
+
+        Args:
+            gains: a row a training frame, a column a channel, `[N, 3]`.
+        """
+        self._open()[1].gains = np.asarray(gains, np.float32)
+
     def _open(self) -> tuple[Prepared, Views, StepSampler]:
         if self._opened is None:
             scene = self.open_scene()
@@ -296,6 +304,8 @@ class HumanDataModule(L.LightningDataModule):
         shares, lens = self._visible_shares(), views.lens(prepared.camera)
         settings = repr((self.occlusion, self.image_size, prepared.train))
         settings += survey.hidden_digest(prepared.hidden)
+        if views.gains is not None:
+            settings += views.gains.tobytes().hex()
         held_out = repr(prepared.test_views)
         for camera, correction in sorted(views.corrections.items()):
             if camera == prepared.camera:

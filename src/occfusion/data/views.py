@@ -10,6 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from occfusion.data.cameras import Lens
@@ -77,6 +78,7 @@ class Views:
     Attributes:
         complete_masks: where the complete mask of a frame lies, if it has one; None where no stage has made any.
         corrections: what the intrinsics of a camera lack, by its index, in pixels of the stored pictures.
+        gains: what the colours of training frames are divided by, `[N, 3]`, by position; None: they stay as they are.
     """
 
     def __init__(self, prepared: Prepared, image_size: int, cache_bytes: int) -> None:
@@ -89,6 +91,7 @@ class Views:
         self._complete: dict[Path, bits.Packed] = {}
         self._lock = Lock()
         self.corrections: dict[int, Correction] = {}
+        self.gains: NDArray[np.float32] | None = None
 
     def train_frame(self, position: int, *, truth: bool, complete: bool = False) -> Frame:
         """Returns the training frame at a position; kept in memory while there is room.
@@ -106,6 +109,8 @@ class Views:
         files, lens = ready.scene.files(frame, ready.camera), self.lens_at(frame, ready.camera)
         packed = self._cache.get(position, lambda: pack(files, lens, hidden))
         made = self._frame(packed, frame, ready.camera, truth)
+        if self.gains is not None:
+            made = _evened(made, self.gains[position])
         path = self.complete_masks(frame) if self.complete_masks is not None and complete else None
         return made if path is None else replace(made, complete_mask=self._complete_mask(path, packed.size))
 
@@ -197,6 +202,16 @@ class Views:
         pixels = (points @ K.T)[:, :2] / np.where(depths > 0, depths, 1.0)[:, None]
         seen = rasterize_mesh(pixels, depths, surface.faces, view.width, view.height)
         return torch.from_numpy(seen.depth)
+
+
+def _evened(frame: Frame, gain: NDArray[np.float32]) -> Frame:
+    """Returns a frame with its colours, and those of its truth, divided by a gain `[3]`; brighter ones are clipped."""
+
+    def even(rgb: Tensor) -> Tensor:  # by NumPy: see `packing`
+        return torch.from_numpy(np.minimum(rgb.numpy() / gain, np.float32(1.0)))
+
+    truth = frame.truth and replace(frame.truth, rgb=even(frame.truth.rgb))
+    return replace(frame, rgb=even(frame.rgb), truth=truth)
 
 
 def frame_to(frame: Frame, device: torch.device | str) -> Frame:

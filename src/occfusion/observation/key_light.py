@@ -8,33 +8,12 @@ determined along the line of sight; a lamp's is, by where its light ends.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.geometry.normals import vertex_normals
-from occfusion.observation.bodyview import view_body
-from occfusion.observation.evidence import person_size
-from occfusion.observation.frames import ObservedFrame
-from occfusion.types import Frame
-
-Floats = NDArray[np.float64]
-
-FRAMES = 50
-"""Frames that are looked at, evenly spread; more say the same."""
-FACING = 0.2
-"""Cosine between normal and line of sight: points seen more from the side show their neighbours as well."""
-BEHIND = 0.02
-"""Metres behind the surface that a camera sees first from which on a point counts as hidden by the body itself."""
-RIM = 0.01
-"""Of the person's size: pixels nearer to what is not the person are left out."""
-SIGHTINGS = 5
-"""Fewer than this of a point tell its own colour and nothing else."""
-POINTS = 200
-"""Fewer seen that often tell nothing of light."""
+from occfusion.observation.sightings import Floats, Sightings, brightness, sums
 
 STEPS, EVEN_STEPS = 40, 5
 """Rounds of weighing, at most, with a lamp to find and without."""
@@ -44,21 +23,6 @@ STRONGEST = 5.0
 """Times the even light; a lamp that is stronger is not told from any other, all else being dark."""
 CUT = 2.0
 """Median differences from which on an observation counts little: another garment, a seam, a wrong pose."""
-
-
-@dataclass(frozen=True)
-class Sightings:
-    """Points of the body as frames show them, a row each.
-
-    Attributes:
-        points: vertex numbers, `[M]`.
-        colors: `[M, 3]`, 0..1.
-        normals: of the body's surface in the world, unit, `[M, 3]`.
-    """
-
-    points: NDArray[np.int64]
-    colors: Floats
-    normals: Floats
 
 
 @dataclass(frozen=True)
@@ -83,64 +47,19 @@ class KeyLight:
         return 1.0 - self.after / self.before if self.before > 0.0 else 0.0
 
 
-def find_key_light(
-    read: Callable[[int], Frame], observed_frames: Sequence[ObservedFrame], faces: NDArray[np.integer]
-) -> KeyLight | None:
-    """Returns the lamp that a video shows, or None where too little is seen to tell.
-
-    Args:
-        read: gives the training frame at a position, without truth.
-        observed_frames: what is known of each.
-        faces: of the body mesh, `[F, 3]`.
-    """
-    positions = np.unique(
-        np.linspace(0, len(observed_frames) - 1, min(FRAMES, len(observed_frames))).round().astype(int)
-    )
-    return fit_key_light(join([sight(read(int(k)), observed_frames[k], faces) for k in positions]))
-
-
-def sight(frame: Frame, observed_frame: ObservedFrame, faces: NDArray[np.integer]) -> Sightings:
-    """Returns the points of the body that a frame shows well."""
-    visible = frame.visible_mask.cpu().numpy()
-    height, width = visible.shape
-    rim = max(1, round(RIM * person_size(visible)))
-    inside = cv2.erode(visible.astype(np.uint8), np.ones((2 * rim + 1, 2 * rim + 1), np.uint8)) > 0
-    posed = observed_frame.posed()
-    pixels, depths = posed.projected.pixels, posed.projected.depths
-    surface = view_body(pixels, depths, faces, width, height).depth
-    normals = vertex_normals(posed.vertices, faces)
-    viewmat = frame.camera.viewmat.double().cpu().numpy()
-    towards = -viewmat[:3, :3].T @ viewmat[:3, 3] - posed.vertices
-    cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
-    is_in = ((pixels >= 0) & (pixels < (width, height))).all(axis=1) & (cosine > FACING)
-    points = np.flatnonzero(is_in)
-    columns, rows = pixels[points].astype(int).T
-    is_shown = inside[rows, columns] & (depths[points] < surface[rows, columns] + BEHIND)
-    points, rows, columns = points[is_shown], rows[is_shown], columns[is_shown]
-    smooth = cv2.blur(frame.rgb.cpu().numpy().astype(np.float32), (3, 3))
-    return Sightings(points, smooth[rows, columns].astype(np.float64), normals[points])
-
-
-def join(parts: Sequence[Sightings]) -> Sightings:
-    """Returns the sightings of points that are seen often enough to tell how they change."""
-    points = np.concatenate([part.points for part in parts])
-    often = np.bincount(points, minlength=1)[points] >= SIGHTINGS
-    return Sightings(
-        points[often],
-        np.concatenate([part.colors for part in parts])[often],
-        np.concatenate([part.normals for part in parts])[often],
-    )
-
-
-def fit_key_light(seen: Sightings) -> KeyLight | None:
+def fit_key_light(seen: Sightings, near: Floats | None = None) -> KeyLight | None:
     """Returns the lamp that makes each point's colour, divided by its brightness, vary least; None where nothing tells.
 
-    Gauss-Newton with Geman and McClure's weights, from six sides; the best end is taken.
+    Gauss-Newton with Geman and McClure's weights; of several ends the best is taken.
+
+    Args:
+        seen: the sightings.
+        near: lamp to begin at, `[3]`; None: from six sides.
     """
-    points = np.unique(seen.points, return_inverse=True)[1]
-    if not len(points) or points.max() + 1 < POINTS:
+    numbered = seen.numbered()
+    if numbered is None:
         return None
-    fit, dark = _Fit(points, seen.colors, seen.normals), np.zeros(3)
+    fit, dark = _Fit(*numbered, seen.colors, seen.normals), np.zeros(3)
     usual = float(np.median(fit.differences(dark)))
     if usual <= 0.0:
         return None
@@ -148,7 +67,8 @@ def fit_key_light(seen: Sightings) -> KeyLight | None:
     for _ in range(EVEN_STEPS):
         fit.weigh(dark)
     before, cost_before = float(np.median(fit.differences(dark))), fit.cost(dark)
-    ends = [end for start in np.vstack([np.eye(3), -np.eye(3)]) if (end := fit.descend(LONGEST_STEP * start))]
+    starts = LONGEST_STEP * np.vstack([np.eye(3), -np.eye(3)]) if near is None else near[None]
+    ends = [end for start in starts if (end := fit.descend(start))]
     if not ends:
         return None
     vector, cost, condition = min(ends, key=lambda end: end[1])
@@ -162,9 +82,8 @@ def fit_key_light(seen: Sightings) -> KeyLight | None:
 class _Fit:
     """The error of a lamp, each point's own colour being the best for it."""
 
-    def __init__(self, points: NDArray[np.int64], colors: Floats, normals: Floats) -> None:
-        self.points, self.colors, self.normals = points, colors, normals
-        self.count = int(points.max()) + 1
+    def __init__(self, points: NDArray[np.int64], count: int, colors: Floats, normals: Floats) -> None:
+        self.points, self.count, self.colors, self.normals = points, count, colors, normals
         self.scale = np.inf
         self._weights = np.ones(len(points))
 
@@ -191,7 +110,7 @@ class _Fit:
             residual, own, light = self._residual(vector, self._weights)
             lit = self.normals * (self.normals @ vector > 0.0)[:, None]
             # what the points' own colours take over of a change of the lamp is no error
-            taken = self._sums(self._weights * light, lit) / self._norm(self._weights, light)[:, None]
+            taken = self._means(self._weights, light, lit)
             change = lit - light[:, None] * taken[self.points]
             weighted = change * self._weights[:, None]
             hessian = (weighted * (own**2).sum(axis=1)[:, None]).T @ change
@@ -210,14 +129,11 @@ class _Fit:
         return vector, self.cost(vector), float(high / max(low, 1e-12 * high))
 
     def _residual(self, vector: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
-        light = 1.0 + np.maximum(self.normals @ vector, 0.0)
-        colors = self._sums(weights * light, self.colors) / self._norm(weights, light)[:, None]
-        own = colors[self.points]
+        light = brightness(self.normals, vector)
+        own = self._means(weights, light, self.colors)[self.points]
         return self.colors - own * light[:, None], own, light
 
-    def _sums(self, weights: Floats, values: Floats) -> Floats:
-        sums = [np.bincount(self.points, weights * column, self.count) for column in values.T]
-        return np.stack(sums, axis=1)
-
-    def _norm(self, weights: Floats, light: Floats) -> Floats:
-        return np.maximum(np.bincount(self.points, weights * light**2, self.count), 1e-12)
+    def _means(self, weights: Floats, light: Floats, values: Floats) -> Floats:
+        """Returns what of values `[M, 3]` is alike in all sightings of a point, `[P, 3]`."""
+        norm = np.maximum(np.bincount(self.points, weights * light**2, self.count), 1e-12)
+        return sums(self.points, (weights * light)[:, None] * values, self.count) / norm[:, None]

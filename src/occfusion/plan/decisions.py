@@ -12,14 +12,14 @@ from occfusion.data.scene_registration import SceneRegistration
 from occfusion.human.observability import ObservedSurface
 from occfusion.observation.evidence import FITTING
 from occfusion.observation.frames import ObservedFrame, misfit_of
-from occfusion.observation.key_light import KeyLight
+from occfusion.observation.light import Light
 from occfusion.observation.pose_alignment import Alignment
 from occfusion.settings.schema import Settings
 from occfusion.settings.stages import AvatarSettings
 from occfusion.stages.avatar import BOX_PADDING
 
-LIT = 0.1
-"""Of the differences between sightings of a point of the body: a lamp that explains less is left out."""
+AGREED = 0.5
+"""Of a lamp's strength: two halves of the body that disagree by more do not tell of one."""
 DETERMINED = 50.0
 """Condition up to which the frames tell where a lamp is; embedded scenes have 4 to 8
 (docs/experiments/015-key-light.md)."""
@@ -139,18 +139,33 @@ def start_decision(settings: Settings) -> Decision:
     return Decision("Gaussians between the body's vertices at the start", asked and not added, reason)
 
 
-def key_light_decision(settings: Settings, found: KeyLight | None) -> Decision:
-    """Returns whether colours change with a lamp: where one explains much of how body points change as they turn."""
+def exposure_decision(settings: Settings, light: Light | None) -> Decision:
+    """Returns whether training pictures are brought to one exposure: where theirs certainly wanders."""
+    part = "evened exposure"
+    if settings.exposure == "off":
+        return Decision(part, False, "exposure = off; nothing was measured")
+    if light is None or light.exposure is None:
+        return Decision(part, False, "too little of the body is seen often enough to tell")
+    return Decision(part, light.gains is not None, light.exposure.text())
+
+
+def key_light_decision(settings: Settings, light: Light | None) -> Decision:
+    """Returns whether colours change with a lamp: where two halves of the body tell of the same one."""
     part, reason = "key light", f"optim.key_light = {settings.optim.key_light}"
     if not settings.optim.key_light:
         return Decision(part, False, reason)
-    if found is None:
+    if light is None or light.key_light is None:
         return Decision(part, False, f"{reason}; too little of the body is seen often enough to tell")
-    reason += f"; a lamp explains {found.explained:.0%} of how points of the body change as they turn"
-    if found.condition > DETERMINED:
+    reason += (
+        f"; a lamp explains {light.key_light.explained:.0%} of how points of the body change as they turn"
+    )
+    if light.key_light.condition > DETERMINED:
         return Decision(part, False, f"{reason}; the frames do not tell where it is")
-    used = found.explained >= LIT or settings.plan == "full"
-    return Decision(part, used, reason if used else f"{reason}; {LIT:.0%} would be worth it")
+    if np.isinf(light.disagreement):
+        reason += "; half of the body tells too little of it"
+    else:
+        reason += f"; two halves of the body differ by {light.disagreement:.0%} on where it is and how strong"
+    return Decision(part, light.disagreement <= AGREED or settings.plan == "full", reason)
 
 
 def surface_decision(settings: Settings, stage: str, surface: ObservedSurface | None) -> Decision:

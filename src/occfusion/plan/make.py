@@ -15,7 +15,7 @@ from occfusion.data.scene_registration import SceneRegistration
 from occfusion.human.coverage import BodyCoverage
 from occfusion.human.observability import ObservedSurface
 from occfusion.observation.frames import ObservedFrame
-from occfusion.observation.key_light import KeyLight
+from occfusion.observation.light import Light
 from occfusion.observation.pose_alignment import Alignment
 from occfusion.perceptual import training_dtype
 from occfusion.plan.decisions import (
@@ -23,6 +23,7 @@ from occfusion.plan.decisions import (
     alignment_decision,
     box_reason,
     densification_decision,
+    exposure_decision,
     is_perceptual_term_deferred,
     key_light_decision,
     network_decisions,
@@ -83,6 +84,7 @@ class Plan:
 
 TOLD = (
     "camera correction",
+    "evened exposure",
     "completed colours",
     "pose alignment",
     "complete masks",
@@ -92,7 +94,7 @@ TOLD = (
     "densification in the refinement",
 )
 """Parts whose decision a user wants to see at once; `plan.json` has them all."""
-TOLD_IF_NOT = TOLD[3:]
+TOLD_IF_NOT = TOLD[4:]
 """Those of them that are told also where they are not used."""
 
 NO_SURFACE = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0, hold=False)
@@ -103,7 +105,7 @@ def make_plan(
     summary: Mapping[str, Any],
     backend: str,
     observed_frames: Sequence[ObservedFrame] | None = None,
-    key_light: KeyLight | None = None,
+    light: Light | None = None,
     registered: SceneRegistration | None = None,
     surface: ObservedSurface | None = None,
     coverage: BodyCoverage | None = None,
@@ -117,7 +119,7 @@ def make_plan(
         summary: the DataModule's summary; uses `occluded_frames` and `frames`.
         backend: the rasteriser backend that runs.
         observed_frames: what masks and poses say of the training frames; None where nothing depends on it.
-        key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
+        light: what the training frames tell of lamp and exposure; None where nothing depends on it.
         registered: whether pictures lie where the cameras say; None where that was not measured.
         surface: what the video says of the body's surface; None where no frame shows it or nothing depends on it.
         coverage: how well the training frames show the body; None where none does.
@@ -143,7 +145,7 @@ def make_plan(
         perceptual = replace(perceptual, used=False, reason=deferred)
     distillation = sds_decisions(settings, observed_frames)
     networks = network_decisions(settings, observed_frames, alignment)
-    lamp = key_light_decision(settings, key_light)
+    lamp = key_light_decision(settings, light)
     start = start_decision(settings)
     completed = completion_decision(settings, coverage)
     closed, refined_closed = (surface_decision(settings, stage, surface) for stage in ("optim", "refine"))
@@ -157,6 +159,7 @@ def make_plan(
 
     plan = [
         registration_decision(registered),
+        exposure_decision(settings, light),
         *stages,
         mask_decision(settings, observed_frames, most),
         inpainting,

@@ -24,7 +24,7 @@ from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.inpaint.completion_net import check_completion_net
 from occfusion.observation.frames import ObservedFrame, observe_frames
-from occfusion.observation.key_light import KeyLight, find_key_light
+from occfusion.observation.light import Light, observe_light
 from occfusion.observation.pose_alignment import Alignment, align_poses, aligned_pose, positions_looked_at
 from occfusion.observation.pose_witness import Look
 from occfusion.perceptual import load_perceptual, training_dtype
@@ -61,7 +61,7 @@ class Observed:
         summary: what was selected and found.
         registered: whether pictures lie where the cameras say; None where that is not to be measured.
         frames: what masks and poses say of the training frames; None where nothing depends on it.
-        key_light: the lamp that the training frames show; None where they show none or nothing depends on it.
+        light: what the training frames tell of lamp and exposure; None where nothing depends on it.
         coverage: how well the training frames show the body, place by place; None where no view does.
         surface: what they say of its surface; None where no view shows it or nothing depends on it.
         renderer: draws avatars, on the device where the run computes.
@@ -73,7 +73,7 @@ class Observed:
     summary: dict[str, Any]
     registered: SceneRegistration | None
     frames: list[ObservedFrame] | None
-    key_light: KeyLight | None
+    light: Light | None
     coverage: BodyCoverage | None
     surface: ObservedSurface | None
     renderer: Renderer
@@ -156,11 +156,14 @@ def observe(settings: Settings) -> Observed:
         or may_leave_out_networks(settings)
         or optim.hidden.effective_weight < 1.0
         or optim.key_light
+        or settings.exposure == "auto"
     )
     observed_frames = observe_training_frames(data, body, read) if are_judged else None
-    key_light = None
-    if observed_frames is not None and optim.key_light:
-        key_light = find_key_light(read, observed_frames, faces)
+    light = None
+    if observed_frames is not None and (optim.key_light or settings.exposure == "auto"):
+        light = observe_light(read, observed_frames, faces, even=settings.exposure == "auto")
+        if light.gains is not None:
+            data.even_exposure(light.gains)
     if observed_frames is not None and settings.plan == "full":
         observed_frames = with_everything(observed_frames)
     views = spread(len(data.train_indices), COVERAGE_VIEWS)
@@ -169,7 +172,7 @@ def observe(settings: Settings) -> Observed:
     if is_closed and coverage is not None and observed_frames is not None:
         surface = _observe_surface(data, body, coverage, observed_frames)
     return Observed(
-        body, data, data.summary(), registered, observed_frames, key_light, coverage, surface,
+        body, data, data.summary(), registered, observed_frames, light, coverage, surface,
         make_renderer(settings), alignment,
     )  # fmt: skip
 
@@ -253,7 +256,7 @@ def decide(settings: Settings, observed: Observed) -> Plan:
     """
     renderer = observed.renderer
     plan = make_plan(
-        settings, observed.summary, renderer.backend, observed.frames, observed.key_light, observed.registered,
+        settings, observed.summary, renderer.backend, observed.frames, observed.light, observed.registered,
         observed.surface, observed.coverage, renderer.device, observed.alignment,
     )  # fmt: skip
     planned = plan.settings
@@ -342,8 +345,10 @@ def _make_avatar(planned: Settings, observed: Observed) -> Avatar:
     optim, body, sh_degree = planned.optim, observed.body, reached_sh_degree(planned)
     lamp, knots = None, optim.pose_knots
     if optim.key_light:
-        assert observed.key_light is not None  # the plan has one only where one was found
-        lamp = torch.from_numpy(observed.key_light.vector).to(body.v_template)
+        assert (
+            observed.light is not None and observed.light.key_light is not None
+        )  # where it is planned, it was found
+        lamp = torch.from_numpy(observed.light.key_light.vector).to(body.v_template)
     spline = PoseSpline.over(observed.data.train_indices, knots) if knots else None
     if knots and observed.alignment is not None and observed.alignment.is_taken:
         spline = observed.alignment.spline()

@@ -180,6 +180,11 @@ class Settings:
         "auto: cameras are corrected where pictures are certainly shifted or scaled against them; off",
         choices=("auto", "off"),
     )
+    exposure: str = setting(
+        "auto",
+        "auto: training pictures are brought to one exposure where theirs certainly wanders; off",
+        choices=("auto", "off"),
+    )
     plan: str = setting(
         "needed",
         "needed: what the scene does not need is left out (plan.json); full: everything is done",
