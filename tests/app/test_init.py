@@ -205,6 +205,22 @@ def test_manifest_says_with_what(make: Make, data: ZjuDataModule) -> None:
     assert 0.0 < content["consistency"] <= 1.0
 
 
+def test_a_stage_that_was_killed_behind_its_last_mask_tells_its_calibration(
+    make: Make, data: ZjuDataModule
+) -> None:
+    whole = make(CountingPrior(0.5))
+    whole.complete(whole.wanted, progress=False)
+    whole.finish()
+    told = json.loads(whole.folder.manifest.read_text())
+    assert told["calibration"] is not None
+    again = make(CountingPrior(0.5))
+    again.read_again()
+    assert not again.wanted
+    again.complete([], progress=False)
+    again.finish()
+    assert json.loads(whole.folder.manifest.read_text()) == told
+
+
 def test_a_long_video_writes_its_manifest_less_often(
     make: Make, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

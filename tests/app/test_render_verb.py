@@ -55,6 +55,14 @@ def test_paths_motions_layers_and_formats(run: Path, tmp_path: Path) -> None:
     assert cv2.VideoCapture(str(film)).get(cv2.CAP_PROP_FRAME_COUNT) == 3
 
 
+def test_one_background_is_asked_for(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = tmp_path / "film.mp4"
+    with pytest.raises(SystemExit, match="2"):
+        main(["render", str(run), "--output", str(film), "--white", "--background", "grey"])
+    assert "not allowed with argument" in capsys.readouterr().err
+    assert not film.exists()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

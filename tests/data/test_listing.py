@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from occfusion.data.cameras import FixedCamera
-from occfusion.data.folder_contents import like, natural, partners, pictures_in, pngs_in, require_same, strays
+from occfusion.data.folder_contents import like, partners, pictures_in, pngs_in, require_same, strays
 from occfusion.data.ocmotion.ocmotion_data import PAPER_SEQUENCES, OcMotionDataModule
 from occfusion.data.scene import BodyParameters
 from occfusion.data.video.video_data import VideoDataModule
 from occfusion.errors import ConfigError, DataError
+from occfusion.files.naming import natural
 
 K = np.array([[100.0, 0, 32], [0, 100, 32], [0, 0, 1]])
 
@@ -23,7 +24,8 @@ def paths(*names: str) -> dict[str, Path]:
 
 def test_numbers_in_names_sort_by_value():
     names = ["frame_10", "frame_9", "frame_010", "a", "frame_1b"]
-    assert sorted(names, key=natural) == ["a", "frame_1b", "frame_9", "frame_10", "frame_010"]
+    assert sorted(names, key=natural) == ["a", "frame_1b", "frame_9", "frame_010", "frame_10"]
+    assert sorted(reversed(names), key=natural) == sorted(names, key=natural)  # also where values are equal
 
 
 def test_pictures_of_a_folder(tmp_path):

@@ -87,6 +87,14 @@ def test_axes_begin_and_end_where_they_are_said_to() -> None:
     assert all(set(axis.quick) <= set(axis.places) for axis in found.values())
 
 
+def test_axes_of_the_optimisation_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It has none; nothing runs."""
+    with pytest.raises(SystemExit, match="2"):
+        main(["stability", "--optimisation", "--axes", "rotation", "--output", str(tmp_path)])
+    assert "not allowed with argument" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
 def test_an_unknown_axis_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stability", "--axes", "colour", "--output", str(tmp_path)]) == 1
     assert "there are rotation angle" in capsys.readouterr().err

@@ -70,10 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--moment", type=int, help="frame at which time stands, for bullet-time. Default: the middle"
     )
-    parser.add_argument(
+    behind = parser.add_mutually_exclusive_group()
+    behind.add_argument(
         "--background", default="black", help="black, white, grey, #rrggbb, transparent, or a picture's file"
     )
-    parser.add_argument("--white", action="store_true", help="the same as --background white")
+    behind.add_argument("--white", action="store_true", help="the same as --background white")
     parser.add_argument(
         "--light", default="estimated",
         help="even; estimated (from the video, the default); or a lamp at AZIMUTH,HEIGHT in degrees, such as 45,30",

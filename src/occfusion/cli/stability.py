@@ -27,10 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output", type=Path, default=Path("runs/stability"), metavar="DIR", help="(%(default)s)"
     )
     parser.add_argument("--quick", action="store_true", help="a few places of each axis, less than a minute")
-    parser.add_argument(
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
         "--axes", nargs="+", metavar="WORD", help="those with one of these words in their name (all)"
     )
-    parser.add_argument(
+    what.add_argument(
         "--optimisation",
         action="store_true",
         help="in place of the sweep: how stiff the optimisation is, on embedded scenes and on problems with a known "

@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from occfusion.errors import DataError
+from occfusion.files.naming import natural
 from occfusion.files.unpickle import load_pickle
 
 MAX_NAME, MAX_PATH = 250, 1000
@@ -137,12 +138,6 @@ def like(names: Iterable[str], others: Iterable[str]) -> list[str]:
     """Returns the names that are built like one of the others: equal but for their numbers."""
     kinds = {re.sub(r"\d+", "0", other) for other in others}
     return [name for name in names if re.sub(r"\d+", "0", name) in kinds]
-
-
-def natural(name: str) -> list[tuple[int, int, str]]:
-    """Returns a key that sorts numbers inside names by value: `frame_9` before `frame_10`."""
-    parts = re.split(r"(\d+)", name)
-    return [(1, len(p.lstrip("0")), p.lstrip("0")) if p.isdigit() else (0, 0, p) for p in parts]
 
 
 def require_same(names: Iterable[str], what: str, others: Iterable[str], other_what: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.errors import ConfigError, DataError
+from occfusion.files.naming import natural
 
 Picture = NDArray[np.uint8]
 
@@ -325,8 +325,3 @@ def _histogram(picture: Picture) -> NDArray[np.float64]:
     small = np.asarray(cv2.resize(picture, (64, 64), interpolation=cv2.INTER_AREA)).reshape(-1, 3)
     counts, _ = np.histogramdd(small, bins=(6, 6, 6), range=((0, 256),) * 3)
     return np.asarray(counts.reshape(-1) / len(small))
-
-
-def natural(name: str) -> list[str | int]:
-    """Returns the key by which names are ordered as people count: 2 before 10; words and numbers in turn."""
-    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name))]

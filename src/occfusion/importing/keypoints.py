@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.jsonfile import load_json
+from occfusion.files.naming import natural
 from occfusion.footage.camera import Intrinsics
-from occfusion.footage.clip import Clip, Shot, natural
+from occfusion.footage.clip import Clip, Shot
 from occfusion.footage.landmarks import COUNT, INDEX, KeyPoints
 from occfusion.importing import mhr
 from occfusion.importing.matching import coco_entries, places_of

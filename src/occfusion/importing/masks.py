@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from occfusion.errors import DataError
 from occfusion.files.images import MAX_LABEL, read_mask, read_numbers
 from occfusion.files.jsonfile import load_json
-from occfusion.footage.clip import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, Shot, natural, open_clip, read_clip
+from occfusion.files.naming import natural
+from occfusion.footage.clip import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, Shot, open_clip, read_clip
 from occfusion.importing.matching import coco_entries, places_of
 
 Mask = NDArray[np.bool_]

@@ -48,7 +48,8 @@ def _complete(training: AvatarTraining, body: Body) -> None:
     record = own.record
     if settings.trainer.fast_dev_run:  # the one frame that the trial step of each process will see
         seen = data.positions_until(settings.trainer.devices)
-        stage.complete([k for k in stage.wanted if k in seen], progress=progress)
+        if positions := [k for k in stage.wanted if k in seen]:
+            stage.complete(positions, progress=progress)
         return
     wanted = stage.wanted
     if not wanted and record.is_file() and own.damage is None:

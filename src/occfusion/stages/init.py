@@ -144,7 +144,9 @@ class InitStage(FramewiseStage):
         Raises:
             Interrupted: a signal stopped it; what is written stays.
         """
-        if positions and self.settings.calibrate and self.settings.source == "prior":
+        if (
+            self.settings.calibrate and self.settings.source == "prior"
+        ):  # also where all masks are there: it is told
             self.calibration = calibrate(self._prior[0], self.observed_frames, self._read, self._body[0])
         self.treat(self._read, positions, progress=progress)
 

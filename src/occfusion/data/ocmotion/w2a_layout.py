@@ -30,7 +30,6 @@ from occfusion.data.folder_contents import (
     SUFFIXES,
     entry,
     load_table,
-    natural,
     need,
     partners,
     pictures_in,
@@ -43,6 +42,7 @@ from occfusion.data.sampling import evenly
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.errors import DataError
 from occfusion.files.jsonfile import load_json
+from occfusion.files.naming import natural
 
 METADATA = "metadata.json"
 MESHES = "mesh_infos.pkl"

@@ -31,7 +31,6 @@ from occfusion.data.folder_contents import (
     entry,
     like,
     load_table,
-    natural,
     need,
     partners,
     pngs_in,
@@ -42,6 +41,7 @@ from occfusion.data.layouts import HELD_OUT, held_out_of
 from occfusion.data.posing import Poser, joints_remark, shape_from_joints
 from occfusion.data.scene import Array, BodyParameters, Calibration, PictureFiles, Scene, Taken
 from occfusion.errors import DataError
+from occfusion.files.naming import natural
 
 _NAME = re.compile(r"camera_(\d{1,12})_frame_(\d{1,12})\Z")
 _FRAME = re.compile(r"frame_(\d{1,12})\Z")
