@@ -6,7 +6,7 @@ import time
 import pytest
 import torch
 
-from occfusion.cpu.workers import threaded_map
+from occfusion.cpu.workers import AHEAD, threaded_map
 
 
 @pytest.fixture(autouse=True)
@@ -48,8 +48,23 @@ def test_items_are_taken_as_they_are_needed():
 
     results = threaded_map(lambda n: n, items(), 2)
     assert next(results) == 0
-    assert len(taken) <= 4
+    assert len(taken) == 2 * AHEAD + 1
     assert list(results) == list(range(1, 100))
+
+
+def test_an_item_that_takes_long_holds_nobody_up():
+    """The first ends only when all that may be taken ahead of it are done."""
+    done = threading.Semaphore(0)
+
+    def work(n: int) -> int:
+        if n == 0:
+            for _ in range(2 * AHEAD - 1):
+                assert done.acquire(timeout=20)
+        else:
+            done.release()
+        return n
+
+    assert list(threaded_map(work, range(12), 2)) == [*range(12)]
 
 
 def test_an_error_reaches_the_caller():

@@ -79,8 +79,9 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
         "--size", type=int, default=SIDE, help=f"longer side of the pictures (default: {SIDE})"
     )
     parser.add_argument(
-        "--rotate", type=int, default=0, choices=(0, 90, 180, 270), help="turn clockwise, degrees"
-    )
+        "--rotate", type=int, default=0, choices=(0, 90, 180, 270),
+        help="turn clockwise, degrees; what other tools found is to be of the turned pictures",
+    )  # fmt: skip
     parser.add_argument("--person", type=int, help="which of several people, from 1")
     parser.add_argument(
         "--focal", type=float, help="focal length in pixels of the file (default: EXIF, else a guess)"

@@ -9,6 +9,9 @@ from typing import TypeVar
 
 import torch
 
+AHEAD = 3
+"""Items a worker that are taken ahead: while one takes six times as long as the others, these go on."""
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -34,7 +37,7 @@ def threaded_map(function: Callable[[Item], Result], items: Iterable[Item], work
             pending: deque[Future[Result]] = deque()
             for item in items:
                 pending.append(pool.submit(_with_one_thread, function, item))
-                if len(pending) > workers:
+                if len(pending) > AHEAD * workers:
                     yield pending.popleft().result()
             while pending:
                 yield pending.popleft().result()
