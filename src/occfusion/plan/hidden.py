@@ -176,13 +176,14 @@ def hidden_policies(
     """Returns what hidden pixels are held to in the optimisation and in the refinement, target and weight decided.
 
     What `auto` means: with `plan=full` complete masks in full, as in the paper. Else complete masks count for little
-    where other frames tell better: by `FITTING_WEIGHT` where poses fit as given or were aligned, from which these
-    masks are made, and for nothing where they are mended. The refinement holds what is hidden to the avatar's own
-    outline instead, where no poses are mended much, which move it. The optimisation counts masks as a refinement that
-    follows would, and fully where none does (docs/experiments/033-refinement-after-alignment.md).
+    where other frames tell better: by `FITTING_WEIGHT` where poses fit as given, were aligned, from which these masks
+    are made, or are left alone as outlines do not say that they are off; for nothing where training mends them. The
+    refinement holds what is hidden to the avatar's own outline instead, where no poses are mended much, which move it.
+    The optimisation counts masks as a refinement that follows would, and fully where none does
+    (docs/experiments/033-refinement-after-alignment.md).
     """
     optim, refine = settings.optim.hidden, settings.refine.hidden
-    full, fits = HiddenSettings("complete", 1.0), poses_fit(observed_frames) or _is_taken(alignment)
+    full, fits = HiddenSettings("complete", 1.0), poses_fit(observed_frames) or alignment is not None
     doubted = HiddenSettings("complete", FITTING_WEIGHT) if fits else HiddenSettings("none", 0.0)
     if optim.target == "auto":
         chosen = refine if refine.target in ("complete", "none") else doubted
@@ -234,7 +235,10 @@ def hidden_mask_decision(
     reason = f"{stage}.hidden.target = {asked}; " if asked != "auto" else ""
     fits = poses_fit(observed_frames)
     if hidden.target == "outline":
-        found = "poses are aligned: " if _is_taken(alignment) else "poses fit as given: "
+        if _is_taken(alignment):
+            found = "poses are aligned: "
+        else:
+            found = "poses fit as given: " if fits else "outlines do not say that poses are off: "
         why = found if asked == "auto" else ""
         reason += f"{why}the avatar's own outline takes the place of complete masks, weight {weight:g}"
         return Decision(part, False, reason)
