@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix, diags_array
 
-from occfusion.observation.sightings import Floats, Integers, Sightings, brightness, sums
+from occfusion.observation.sightings import CUT, Floats, Integers, Sightings, brightness, robust_weights, sums
 
 WORTH = 0.2
 """Of the differences between sightings of a point under a lamp: gains that explain less are left out, for so much may
@@ -20,8 +20,6 @@ EVEN_ROUNDS, ROUNDS, SHORT = 4, 20, 1e-3
 """Rounds in which all observations count alike, and in all: a frame that is far off must not be left out at once."""
 RIDGE = 1e-3
 """Of a frame's mean weight: holds the gain of a frame that shows hardly a point."""
-CUT = 2.0
-"""Median differences from which on an observation counts little."""
 LEAST = 1.0 / 255.0
 """Difference that is never too much."""
 CLIPPED = 0.98
@@ -112,7 +110,7 @@ def fit_gains(seen: Sightings, vector: Floats) -> Gains | None:
         differences = np.linalg.norm(residual, axis=1)
         usual = max(float(np.median(differences)), LEAST)
         if round_ >= EVEN_ROUNDS:
-            weights = 1.0 / (1.0 + (differences / (CUT * usual)) ** 2) ** 2
+            weights = robust_weights(differences, CUT * usual)
             told = weights[:, None] * tells
         steps = [
             _step(points, frames, bright[:, c], own[:, c], residual[:, c], told[:, c], logs[:, c])
@@ -141,7 +139,7 @@ def gain_of(seen: Sightings, gains: Gains) -> Floats:
         predicted = expected * np.exp(log)
         residual = tells * (colors - predicted)
         differences = np.linalg.norm(residual, axis=1)
-        weights = tells / (1.0 + (differences / (CUT * gains.usual)) ** 2)[:, None] ** 2
+        weights = tells * robust_weights(differences, CUT * gains.usual)[:, None]
         curvature = (weights * predicted**2).sum(axis=0)
         ridge = RIDGE * float(len(colors)) * float((gains.colors**2).mean()) + 1e-12
         step = ((weights * predicted * residual).sum(axis=0) - ridge * log) / (curvature + ridge)
@@ -188,7 +186,7 @@ def _usual(seen: Sightings, bright: Floats) -> float:
         own = sums(points, told * seen.colors, count) / np.maximum(sums(points, told * bright, count), 1e-12)
         differences = np.linalg.norm(seen.colors - own[points] * bright, axis=1)
         usual = max(float(np.median(differences)), LEAST)
-        weights = 1.0 / (1.0 + (differences / (CUT * usual)) ** 2) ** 2
+        weights = robust_weights(differences, CUT * usual)
     return usual
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.observation.sightings import Floats, Sightings, brightness, sums
+from occfusion.observation.sightings import CUT, Floats, Sightings, brightness, robust_weights, sums
 
 STEPS, EVEN_STEPS = 40, 5
 """Rounds of weighing, at most, with a lamp to find and without."""
@@ -21,8 +21,6 @@ DAMPING, SHORT = 1e-3, 1e-4
 LONGEST_STEP = 0.2
 STRONGEST = 5.0
 """Times the even light; a lamp that is stronger is not told from any other, all else being dark."""
-CUT = 2.0
-"""Median differences from which on an observation counts little: another garment, a seam, a wrong pose."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +96,7 @@ class _Fit:
 
     def weigh(self, vector: Floats) -> None:
         """Has each sighting count by how well it fits under a lamp."""
-        squared = (self.differences(vector) / self.scale) ** 2
-        self._weights = 1.0 / (1.0 + squared) ** 2
+        self._weights = robust_weights(self.differences(vector), self.scale)
 
     def descend(self, vector: Floats) -> tuple[Floats, float, float] | None:
         """Returns where Gauss-Newton ends from a start, its cost and condition; None if it leads nowhere."""

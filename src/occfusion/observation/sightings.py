@@ -30,6 +30,8 @@ POINTS = 200
 """Fewer seen that often tell nothing of light."""
 PATCH = 64
 """Vertices whose numbers follow each other lie beside each other; so many share their errors."""
+CUT = 2.0
+"""Median differences from which on an observation counts little: another garment, a seam, a wrong pose."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,16 @@ def brightness(normals: Floats, vector: Floats) -> Floats:
 def sums(groups: Integers, values: Floats, count: int) -> Floats:
     """Returns the sums of values `[M, C]` over the rows of each group, `[count, C]`."""
     return np.stack([np.bincount(groups, column, count) for column in values.T], axis=1)
+
+
+def robust_weights(differences: Floats, scale: float) -> Floats:
+    """Returns how much observations count by Geman and McClure, `[M]`, 1 where nothing differs.
+
+    Args:
+        differences: of each from what is expected, `[M]`.
+        scale: difference at which one counts a quarter.
+    """
+    return np.asarray(1.0 / (1.0 + (differences / scale) ** 2) ** 2)
 
 
 def without(seen: Sightings, gains: Floats) -> Sightings:
