@@ -21,16 +21,18 @@ from occfusion.human.surface_terms import (
     LONG,
     OUTWARDS,
     THICK,
+    TILT_SCALE,
     KnownSurface,
     depth_and_extent,
     hold,
+    tilt,
 )
 from occfusion.settings.stages import SurfaceSettings
 from occfusion.stages.surface import SurfacePrior
 
 BACKENDS = pytest.mark.parametrize("backend", ["torch", "numba"])
-ALL = SurfaceSettings(depth=1.0, extent=1.0, outline=1.0, backface=1.0, every=1)
-NOTHING = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0, hold=False)
+ALL = SurfaceSettings(depth=1.0, extent=1.0, outline=1.0, backface=1.0, every=1, tilt=1.0)
+NOTHING = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0, hold=False, tilt=0.0)
 
 
 def seen_from_front(body: Body, ignorance: float = 1.0) -> Observability:
@@ -73,12 +75,14 @@ def behind(prior: SurfacePrior) -> SurfacePrior:
 
 def test_terms_of_weight_zero_are_not_built(free_body):
     assert prior_of(free_body, NOTHING).terms(avatar_on(free_body), 0) == {}
-    some = prior_of(free_body, SurfaceSettings(depth=1.0, extent=0.0, outline=0.0, backface=0.0))
+    some = prior_of(free_body, SurfaceSettings(depth=1.0, extent=0.0, outline=0.0, backface=0.0, tilt=0.0))
     assert set(some.terms(avatar_on(free_body), 0)) == {"surface_depth"}
 
 
 def test_views_are_asked_at_every_kth_step_with_k_times_the_weight(free_body):
-    prior = prior_of(free_body, SurfaceSettings(depth=0.0, extent=0.0, outline=0.5, backface=0.25, every=3))
+    prior = prior_of(
+        free_body, SurfaceSettings(depth=0.0, extent=0.0, outline=0.5, backface=0.25, every=3, tilt=0.0)
+    )
     avatar = avatar_on(free_body)
     assert [bool(prior.terms(avatar, step)) for step in range(4)] == [True, False, False, True]
     assert prior.weight("surface_outline") == 1.5 and prior.weight("surface_backface") == 0.75
@@ -124,7 +128,7 @@ def test_depth_and_extent_against_loops(free_body, backend):
 def test_what_is_seen_from_all_round_is_left_alone(free_body):
     known = seen_from_front(free_body, ignorance=0.0)
     avatar = avatar_on(free_body)
-    terms = prior_of(free_body, SurfaceSettings(1.0, 1.0, 0.0, 0.0), known).terms(avatar, 0)
+    terms = prior_of(free_body, SurfaceSettings(1.0, 1.0, 0.0, 0.0, tilt=0.0), known).terms(avatar, 0)
     assert all(float(term) == 0.0 for term in terms.values())
 
 
@@ -152,7 +156,7 @@ def test_gaussians_may_begin_off_the_body_where_clothes_are(free_body):
     known = replace(known, ignorance=np.ones(len(ignorance)))
     points, faces = free_body.da_vertices().double().numpy(), free_body.faces.numpy()
     prior = SurfacePrior(
-        known, vertex_normals(points, faces), thickness, [], SurfaceSettings(1.0, 0.0, 0.0, 0.0),
+        known, vertex_normals(points, faces), thickness, [], SurfaceSettings(1.0, 0.0, 0.0, 0.0, tilt=0.0),
         renderer=Renderer("torch"), seed=0,
     )  # fmt: skip
     costs = []
@@ -170,7 +174,7 @@ def test_only_what_stands_off_along_the_line_of_sight_is_pulled_back(free_body, 
     avatar = avatar_on(free_body)
     with torch.no_grad():
         avatar.gaussians.means += torch.tensor([0.03, 0.02, 0.03])
-    prior = prior_of(free_body, SurfaceSettings(1.0, 0.0, 0.0, 0.0), backend=backend)
+    prior = prior_of(free_body, SurfaceSettings(1.0, 0.0, 0.0, 0.0, tilt=0.0), backend=backend)
     prior.terms(avatar, 0)["surface_depth"].backward()
     gradient = avatar.gaussians.means.grad
     assert (gradient[:, 2] > 0).float().mean() > 0.9
@@ -220,7 +224,7 @@ def test_the_front_does_not_shine_through_a_closed_back(free_body):
 @BACKENDS
 def test_a_needle_and_a_stray_are_brought_back_by_descent(free_body, backend):
     avatar = avatar_on(free_body)
-    prior = prior_of(free_body, SurfaceSettings(1.0, 1.0, 0.0, 0.0), backend=backend)
+    prior = prior_of(free_body, SurfaceSettings(1.0, 1.0, 0.0, 0.0, tilt=0.0), backend=backend)
     gaussians = avatar.gaussians
     with torch.no_grad():
         gaussians.means[:50, 2] += 0.3
@@ -370,3 +374,63 @@ def test_who_asks_one_term_gets_its_gradient_alone(free_body):
     torch.testing.assert_close(fast.means.grad, plain.means.grad, rtol=1e-4, atol=1e-9)
     for name in ("raw_quats", "log_scales"):
         assert not getattr(fast, name).grad.any() and getattr(plain, name).grad is None
+
+
+def test_tilt_against_loops(free_body):
+    """Of an ellipsoid, its standard deviation along the normal; from the covariance and not from its axes."""
+    gaussians, surface = unruly(free_body).gaussians, known_of(free_body, torch.float32)
+    roots, costs = gaussians.roots().detach().double().numpy(), []
+    for k, vertex in enumerate(gaussians.vertex_index.tolist()):
+        normal = surface.normals[vertex].double().numpy()
+        out = math.sqrt(normal @ roots[k] @ roots[k].T @ normal)
+        costs.append(float(surface.ignorance[vertex]) * (math.hypot(1.0, out / TILT_SCALE) - 1.0))
+    assert float(tilt(gaussians, surface).detach()) == pytest.approx(np.mean(costs), rel=1e-4)
+
+
+def test_tilt_turns_by_its_gradient_and_nothing_else(free_body):
+    """In float64 by differences; places and sizes have none, nor has what the video knows from all round."""
+    gaussians, surface = unruly(free_body).gaussians.double(), known_of(free_body, torch.float64)
+    tilt(gaussians, surface).backward()
+    assert gaussians.means.grad is None and gaussians.log_scales.grad is None
+    gradient = gaussians.raw_quats.grad
+    direction, start, ends = gradient / gradient.norm(), gaussians.raw_quats.detach().clone(), []
+    for step in (1e-5, -1e-5):
+        with torch.no_grad():
+            gaussians.raw_quats.copy_(start + step * direction)
+            ends.append(float(tilt(gaussians, surface).detach()))
+    assert float(gradient.norm()) == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4)
+    known = replace(surface, ignorance=torch.zeros_like(surface.ignorance))
+    assert float(tilt(gaussians, known).detach()) == 0.0
+
+
+@pytest.mark.parametrize(
+    "quaternion", [[0.0, 0.0, 0.0, 0.0], [1e-30, 0.0, 0.0, 0.0], [1e15, 1e15, 0.0, 1e15]]
+)
+def test_tilt_of_extreme_gaussians_is_finite(free_body, quaternion):
+    gaussians = avatar_on(free_body).gaussians
+    with torch.no_grad():
+        gaussians.raw_quats[:50] = torch.tensor(quaternion)
+        gaussians.log_scales[50:100], gaussians.log_scales[100:150] = 80.0, -80.0
+    found = tilt(gaussians, known_of(free_body, torch.float32))
+    found.backward()
+    assert torch.isfinite(found) and torch.isfinite(gaussians.raw_quats.grad).all()
+
+
+def test_feathers_lie_down_by_descent_and_stay_as_large(free_body):
+    avatar = avatar_on(free_body)
+    gaussians, prior = avatar.gaussians, prior_of(free_body, replace(NOTHING, tilt=1.0))
+    with torch.no_grad():
+        gaussians.log_scales[:, 0] = math.log(0.02)
+        generator = torch.Generator().manual_seed(0)
+        gaussians.raw_quats += 0.3 * torch.randn(gaussians.raw_quats.shape, generator=generator)
+    sizes = gaussians.log_scales.detach().clone()
+    adam = torch.optim.Adam([gaussians.raw_quats], lr=1e-2, eps=1e-15)
+    costs = []
+    for step in range(150):
+        adam.zero_grad()
+        (term,) = prior.terms(avatar, step).values()
+        term.backward()
+        adam.step()
+        costs.append(float(term.detach()))
+    assert costs[0] > 3.0 and costs[-1] < 0.2 * costs[0]
+    assert torch.equal(gaussians.log_scales.detach(), sizes)

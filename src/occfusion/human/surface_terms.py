@@ -1,4 +1,4 @@
-"""How Gaussians keep to the dressed body where a video says nothing of their depth: two penalties, and bounds."""
+"""How Gaussians keep to the dressed body where a video says nothing of their depth: three penalties, and bounds."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ DEPTH_SCALE = 0.010
 counts."""
 EXTENT_SCALE = 0.005
 """Standard deviation along it, metres, likewise."""
+TILT_SCALE = 0.001
+"""Standard deviation across the surface, metres, likewise."""
 
 OUTWARDS, INWARDS = 0.005, 0.015
 """Metres that a Gaussian may stand outside of clothes, and inside the body, where nothing is known of its depth."""
@@ -76,6 +78,22 @@ def depth_and_extent(
     squares = off.square(), along.square().sum(dim=1)
     depth, extent = ((ignorance * ((1.0 + square).sqrt() - 1.0)).mean() for square in squares)
     return depth, extent
+
+
+def tilt(gaussians: Gaussians, surface: KnownSurface) -> Tensor:
+    """Returns how far flat Gaussians stand out of the surface that they lie in.
+
+    As the extent of `depth_and_extent`, along the normal of the body and in units of `TILT_SCALE`. It turns Gaussians
+    and leaves them as large as they are: made smaller, they would leave holes.
+
+    Args:
+        gaussians: canonical.
+        surface: of the body that they lie on.
+    """
+    rows = gaussians.vertex_index
+    turns = quaternion_to_matrix(gaussians.raw_quats)
+    out = (turns * surface.normals[rows][:, :, None]).sum(dim=1) * (gaussians.scales.detach() / TILT_SCALE)
+    return (surface.ignorance[rows] * ((1.0 + out.square().sum(dim=1)).sqrt() - 1.0)).mean()
 
 
 @torch.no_grad()

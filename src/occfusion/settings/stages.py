@@ -213,11 +213,14 @@ class SurfaceSettings:
     every: int = setting(
         4, "steps from one such view to the next, which then has that many times the weight", 1, 10_000
     )
+    tilt: float = setting(
+        0.05, "weight of how far flat Gaussians stand out of the surface that they lie in", 0
+    )
 
     @property
     def is_used(self) -> bool:
         """Whether any term has a weight."""
-        return self.hold or self.depth > 0 or self.extent > 0 or self.are_views_used
+        return self.hold or self.depth > 0 or self.extent > 0 or self.tilt > 0 or self.are_views_used
 
     @property
     def are_views_used(self) -> bool:

@@ -12,7 +12,7 @@ from torch import Tensor
 from occfusion.human.avatar import Avatar
 from occfusion.human.observability import CanonicalView, Observability, dressed_heights
 from occfusion.human.rendering import Renderer
-from occfusion.human.surface_terms import HELD_FROM, KnownSurface, depth_and_extent, hold
+from occfusion.human.surface_terms import HELD_FROM, KnownSurface, depth_and_extent, hold, tilt
 from occfusion.settings.stages import SurfaceSettings
 
 
@@ -23,6 +23,7 @@ class SurfacePrior:
 
     - `depth`: how far a Gaussian stands off the dressed body along the direction of which least is known.
     - `extent`: how far it reaches along it: a needle that is seen from its end.
+    - `tilt`: how far it reaches out of the surface: a feather.
     - `outline`: the occupancy of the canonical pose, from a side, against body and clothes: nothing outside, no hole.
     - `backface`: what of the body's other side shines through places that no frame shows.
 
@@ -73,6 +74,8 @@ class SurfacePrior:
             depth, extent = depth_and_extent(avatar.gaussians, self._surface(avatar), compiled=self._compiled)
             terms |= {"surface_depth": depth} if settings.depth else {}
             terms |= {"surface_extent": extent} if settings.extent else {}
+        if settings.tilt:
+            terms["surface_tilt"] = tilt(avatar.gaussians, self._surface(avatar))
         if (settings.outline or settings.backface) and step % settings.every == 0:
             terms |= self._seen_from_a_side(avatar, step)
         return terms
