@@ -330,7 +330,13 @@ def known_of(body: Body, dtype: torch.dtype) -> KnownSurface:
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_kernels_give_what_they_are_specified_by(free_body, threads):
-    """Costs, all three gradients and what is held, of thousands that are off, long and turned; against float64."""
+    """Three costs, all gradients and what is held, of thousands that are off, long and turned; against float64."""
+
+    def terms_of(gaussians, dtype):
+        surface, compiled = known_of(free_body, dtype), dtype == torch.float32
+        depth, extent = depth_and_extent(gaussians, surface, compiled=compiled)
+        return depth, extent, tilt(gaussians, surface, compiled=compiled)
+
     fast, exact = unruly(free_body).gaussians, unruly(free_body).gaussians.double()
     with torch.no_grad():
         for gaussians in (fast, exact):
@@ -340,13 +346,13 @@ def test_kernels_give_what_they_are_specified_by(free_body, threads):
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(threads)
-        found = depth_and_extent(fast, known_of(free_body, torch.float32))
-        (0.3 * found[0] + 0.7 * found[1]).backward()
+        found = terms_of(fast, torch.float32)
+        (0.3 * found[0] + 0.7 * found[1] + 0.5 * found[2]).backward()
         hold(fast, known_of(free_body, torch.float32))
     finally:
         torch.set_num_threads(before)
-    expected = depth_and_extent(exact, known_of(free_body, torch.float64), compiled=False)
-    (0.3 * expected[0] + 0.7 * expected[1]).backward()
+    expected = terms_of(exact, torch.float64)
+    (0.3 * expected[0] + 0.7 * expected[1] + 0.5 * expected[2]).backward()
     hold(exact, known_of(free_body, torch.float64), compiled=False)
     for a, b in zip(found, expected, strict=True):
         assert float(a.detach()) == pytest.approx(float(b.detach()), rel=1e-5)
@@ -384,7 +390,9 @@ def test_tilt_against_loops(free_body):
         normal = surface.normals[vertex].double().numpy()
         out = math.sqrt(normal @ roots[k] @ roots[k].T @ normal)
         costs.append(float(surface.ignorance[vertex]) * (math.hypot(1.0, out / TILT_SCALE) - 1.0))
-    assert float(tilt(gaussians, surface).detach()) == pytest.approx(np.mean(costs), rel=1e-4)
+    for compiled in (True, False):
+        found = float(tilt(gaussians, surface, compiled=compiled).detach())
+        assert found == pytest.approx(np.mean(costs), rel=1e-4)
 
 
 def test_tilt_turns_by_its_gradient_and_nothing_else(free_body):
@@ -406,12 +414,13 @@ def test_tilt_turns_by_its_gradient_and_nothing_else(free_body):
 @pytest.mark.parametrize(
     "quaternion", [[0.0, 0.0, 0.0, 0.0], [1e-30, 0.0, 0.0, 0.0], [1e15, 1e15, 0.0, 1e15]]
 )
-def test_tilt_of_extreme_gaussians_is_finite(free_body, quaternion):
+@pytest.mark.parametrize("compiled", [True, False])
+def test_tilt_of_extreme_gaussians_is_finite(free_body, quaternion, compiled):
     gaussians = avatar_on(free_body).gaussians
     with torch.no_grad():
         gaussians.raw_quats[:50] = torch.tensor(quaternion)
         gaussians.log_scales[50:100], gaussians.log_scales[100:150] = 80.0, -80.0
-    found = tilt(gaussians, known_of(free_body, torch.float32))
+    found = tilt(gaussians, known_of(free_body, torch.float32), compiled=compiled)
     found.backward()
     assert torch.isfinite(found) and torch.isfinite(gaussians.raw_quats.grad).all()
 

@@ -23,6 +23,7 @@ from occfusion.human.surface_terms import (
     LONG,
     OUTWARDS,
     THICK,
+    TILT_SCALE,
     KnownSurface,
 )
 
@@ -66,6 +67,38 @@ def depth_and_extent(gaussians: Gaussians, surface: KnownSurface) -> tuple[Tenso
     return depth, extent
 
 
+class _Tilt(torch.autograd.Function):
+    """The mean; its gradient is found on the way."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, quats: Tensor, log_scales: Tensor, rows: Tensor, normals: Tensor, ignorance: Tensor
+    ) -> Tensor:
+        costs, found = torch.empty(len(quats)), torch.empty(quats.shape)
+        run_parts(
+            _tilts,
+            *map(array_of, (quats, log_scales, rows, normals, ignorance)),
+            costs.numpy(),
+            found.numpy(),
+        )
+        ctx.save_for_backward(found)
+        return costs.mean()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        (to_quats,) = ctx.saved_tensors
+        return gradient / max(len(to_quats), 1) * to_quats, None, None, None, None
+
+
+def tilt(gaussians: Gaussians, surface: KnownSurface) -> Tensor:
+    """As `surface_terms.tilt`."""
+    cost: Tensor = _Tilt.apply(
+        gaussians.raw_quats, gaussians.log_scales, gaussians.vertex_index, surface.normals, surface.ignorance
+    )
+    return cost
+
+
 def hold(gaussians: Gaussians, surface: KnownSurface) -> None:
     """As `surface_terms.hold`, but for the count of changes of the parameters."""
     run_parts(
@@ -83,7 +116,7 @@ def warm_up() -> None:
     gaussians = Gaussians(torch.zeros(0, 3), torch.ones(0, 3), 0)
     surface = KnownSurface(points, points, points, values, points, values)
     depth, extent = depth_and_extent(gaussians, surface)
-    (depth + extent).backward()
+    (depth + extent + tilt(gaussians, surface)).backward()
     hold(gaussians, surface)
 
 
@@ -106,6 +139,25 @@ def _scale(log_scale: np.float32) -> tuple[np.float32, np.float32]:
     return scale, scale if low <= log_scale <= high else np.float32(0)
 
 
+@inline
+def _reach(
+    quats: Array, n: int, axis: Array, v: int, sa: np.float32, sb: np.float32, sc: np.float32
+) -> Matrix:
+    """How far a Gaussian reaches along a direction, `sqrt(1 + x^2) - 1`; gradients by scales (3), quaternion (4)."""
+    one = np.float32(1)
+    w, x, y, z, inverse_length = unit(quats, n)
+    a, b, c = _along(rotation(w, x, y, z), axis, v)
+    ra, rb, rc = a * sa, b * sb, c * sc
+    root = np.sqrt(one + ra * ra + rb * rb + rc * rc)
+    ra, rb, rc = ra / root, rb / root, rc / root
+    to_a, to_b, to_c = ra * a, rb * b, rc * c
+    ra, rb, rc = ra * sa, rb * sb, rc * sc
+    ex, ey, ez = axis[v, 0], axis[v, 1], axis[v, 2]
+    matrix = (ex * ra, ex * rb, ex * rc, ey * ra, ey * rb, ey * rc, ez * ra, ez * rb, ez * rc)
+    qw, qx, qy, qz = to_quaternion(matrix, w, x, y, z, inverse_length)
+    return root - one, to_a, to_b, to_c, qw, qx, qy, qz
+
+
 @kernel
 def _costs(
     means: Array, quats: Array, log_scales: Array, rows: Rows, dressed: Array, axis: Array, ignorance: Array,
@@ -124,25 +176,49 @@ def _costs(
             costs[0, n] = weight * (root - one)
             pull = weight * by_depth * (off / root)
             to_means[n, 0], to_means[n, 1], to_means[n, 2] = pull * ex, pull * ey, pull * ez
-            w, x, y, z, inverse_length = unit(quats, n)
-            a, b, c = _along(rotation(w, x, y, z), axis, v)
             sa, da = _scale(log_scales[n, 0])
             sb, db = _scale(log_scales[n, 1])
             sc, dc = _scale(log_scales[n, 2])
-            ra, rb, rc = a * sa * by_extent, b * sb * by_extent, c * sc * by_extent
-            root = np.sqrt(one + ra * ra + rb * rb + rc * rc)
-            costs[1, n] = weight * (root - one)
-            pull = weight * by_extent / root
-            ra, rb, rc = pull * ra, pull * rb, pull * rc
-            to_log_scales[n, 0], to_log_scales[n, 1], to_log_scales[n, 2] = (
-                ra * a * da,
-                rb * b * db,
-                rc * c * dc,
+            cost, a, b, c, qw, qx, qy, qz = _reach(
+                quats, n, axis, v, sa * by_extent, sb * by_extent, sc * by_extent
             )
-            ra, rb, rc = ra * sa, rb * sb, rc * sc
-            matrix = (ex * ra, ex * rb, ex * rc, ey * ra, ey * rb, ey * rc, ez * ra, ez * rb, ez * rc)
-            to_quats[n, 0], to_quats[n, 1], to_quats[n, 2], to_quats[n, 3] = to_quaternion(
-                matrix, w, x, y, z, inverse_length
+            costs[1, n] = weight * cost
+            pull = weight * by_extent
+            to_log_scales[n, 0], to_log_scales[n, 1], to_log_scales[n, 2] = (
+                pull * da * a,
+                pull * db * b,
+                pull * dc * c,
+            )
+            to_quats[n, 0], to_quats[n, 1], to_quats[n, 2], to_quats[n, 3] = (
+                weight * qw,
+                weight * qx,
+                weight * qy,
+                weight * qz,
+            )
+
+
+@kernel
+def _tilts(
+    quats: Array, log_scales: Array, rows: Rows, normals: Array, ignorance: Array, costs: Array, to_quats: Array,
+    part: int, parts: int,
+) -> None:  # fmt: skip
+    by_tilt = np.float32(1 / TILT_SCALE)
+    for begin in range(part * BLOCK, len(quats), parts * BLOCK):
+        for n in range(begin, min(begin + BLOCK, len(quats))):
+            v = rows[n]
+            sa, _ = _scale(log_scales[n, 0])
+            sb, _ = _scale(log_scales[n, 1])
+            sc, _ = _scale(log_scales[n, 2])
+            weight = ignorance[v]
+            cost, _, _, _, qw, qx, qy, qz = _reach(
+                quats, n, normals, v, sa * by_tilt, sb * by_tilt, sc * by_tilt
+            )
+            costs[n] = weight * cost
+            to_quats[n, 0], to_quats[n, 1], to_quats[n, 2], to_quats[n, 3] = (
+                weight * qw,
+                weight * qx,
+                weight * qy,
+                weight * qz,
             )
 
 

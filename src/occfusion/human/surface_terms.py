@@ -80,7 +80,7 @@ def depth_and_extent(
     return depth, extent
 
 
-def tilt(gaussians: Gaussians, surface: KnownSurface) -> Tensor:
+def tilt(gaussians: Gaussians, surface: KnownSurface, *, compiled: bool = True) -> Tensor:
     """Returns how far flat Gaussians stand out of the surface that they lie in.
 
     As the extent of `depth_and_extent`, along the normal of the body and in units of `TILT_SCALE`. It turns Gaussians
@@ -89,7 +89,12 @@ def tilt(gaussians: Gaussians, surface: KnownSurface) -> Tensor:
     Args:
         gaussians: canonical.
         surface: of the body that they lie on.
+        compiled: as in `depth_and_extent`.
     """
+    if compiled and _are_taken(gaussians):
+        from occfusion.human import surface_kernels
+
+        return surface_kernels.tilt(gaussians, surface)
     rows = gaussians.vertex_index
     w, x, y, z = normalize_quaternion(gaussians.raw_quats).T.contiguous()
     nx, ny, nz = surface.normals[rows].T.contiguous()

@@ -75,7 +75,7 @@ class SurfacePrior:
             terms |= {"surface_depth": depth} if settings.depth else {}
             terms |= {"surface_extent": extent} if settings.extent else {}
         if settings.tilt:
-            terms["surface_tilt"] = tilt(avatar.gaussians, self._surface(avatar))
+            terms["surface_tilt"] = tilt(avatar.gaussians, self._surface(avatar), compiled=self._compiled)
         if (settings.outline or settings.backface) and step % settings.every == 0:
             terms |= self._seen_from_a_side(avatar, step)
         return terms
