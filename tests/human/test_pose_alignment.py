@@ -15,13 +15,13 @@ from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human import Avatar, Body, PoseSpline, embedded_body, load_avatar, save_avatar
 from occfusion.observation import pose_alignment
+from occfusion.observation.knot_spacing import frames_a_knot
 from occfusion.observation.outline_system import OutlineSystem
 from occfusion.observation.pose_alignment import (
     GROUPS,
     Aligner,
     align_poses,
     aligned_pose,
-    frames_a_knot,
     positions_looked_at,
     spline_weights,
 )

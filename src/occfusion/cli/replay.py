@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from occfusion.run.replay import replay
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of the verb."""
@@ -15,6 +13,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Repeats the step; returns the exit code."""
+    # Lightning is loaded where it is used: seconds, which the explanation does not need
+    from occfusion.run.replay import replay
+
     found = replay(args.file)
     if not found.same_frame:
         print(f"the data have changed: frame {found.frame} is not the one that was kept in {args.file}")

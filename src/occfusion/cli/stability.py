@@ -16,7 +16,6 @@ from occfusion.run.environment import describe_environment
 from occfusion.settings.stages import RateSettings
 from occfusion.stability.axes import Row, sweep
 from occfusion.stability.motion import motion_axes
-from occfusion.stability.optimisation import study
 from occfusion.stability.page import summary, write_sweep
 from occfusion.stability.pictures import picture_axes
 
@@ -50,6 +49,9 @@ def run(args: argparse.Namespace) -> int:
         )
     make_writable(args.output)  # a sweep of half an hour is not to end at this
     if args.optimisation:
+        # Lightning is loaded where it is used: seconds, which neither the sweep nor the explanation needs
+        from occfusion.stability.optimisation import study
+
         tell = partial(print, file=sys.stderr, flush=True)
         study(args.output, vars(RateSettings()), describe_environment(), quick=args.quick, tell=tell)
         print(f"written to {args.output}")

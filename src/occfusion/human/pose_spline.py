@@ -83,16 +83,20 @@ class PoseSpline(nn.Module):
         """Returns whether a frame lies in the range."""
         return 0.0 <= (frame_index - self.first) / self.spacing <= self.knots - 3 + ROUNDING
 
+    def weights_at(self, frame_index: float) -> tuple[int, tuple[float, ...]]:
+        """Returns the first of the four knots that a frame of the range knows, and how much each of them counts."""
+        place = (frame_index - self.first) / self.spacing
+        start = min(int(place), self.knots - 4)  # the end of the range belongs to the last piece
+        u = place - start
+        parts = (1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3
+        return start, tuple(part / 6 for part in parts)
+
     def at(self, frame_index: float) -> tuple[Tensor, Tensor]:
         """Returns the turns as axis-angles `[24, 3]`, radians, and the shift `[3]`, metres; zeros outside the range."""
         if not self.covers(frame_index):
             return torch.zeros_like(self.turns[0]), torch.zeros_like(self.places[0])
-        place = (frame_index - self.first) / self.spacing
-        start = min(int(place), self.knots - 4)  # the end of the range belongs to the last piece
-        u = place - start
-        weights = self.turns.new_tensor(
-            [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3]
-        ).div(6)
+        start, shares = self.weights_at(frame_index)
+        weights = self.turns.new_tensor(shares)
         turns, places = self.turns[start : start + 4], self.places[start : start + 4]
         if self.base_turns is not None:
             assert (

@@ -88,6 +88,11 @@ class ArrowFactor:
             found.append(np.diag(own) + ((spread @ whole.T) ** 2).sum(axis=1))
         return np.concatenate([*found[:0:-1], found[0]])
 
+    def log_determinant(self) -> float:
+        """Returns the logarithm of the determinant."""
+        diagonals = [np.diag(lower) for lower in (*self._lower, self._corner)]
+        return 2.0 * float(np.log(np.concatenate(diagonals)).sum())
+
     def _split(self, whole: Floats) -> tuple[list[Floats], Floats]:
         ends = np.cumsum(self._sizes)
         *parts, edge = np.split(whole, ends)

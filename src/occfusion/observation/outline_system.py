@@ -97,6 +97,11 @@ class OutlineSystem:
         self.row_weights = weights / (self._alike(weights) * self.noise**2)
         self._assemble()
 
+    def weigh_as(self, other: OutlineSystem) -> None:
+        """Weighs rows as another system of the same outlines does, so that the two may be compared."""
+        self.noise, self.row_weights = other.noise, other.row_weights
+        self._assemble()
+
     def _alike(self, weights: Floats) -> float:
         """Returns how many points of an outline count as one, by how alike errors are in a place of a frame."""
         found = []
@@ -175,6 +180,17 @@ class OutlineSystem:
         """Returns the most likely unknowns and their variances, which cost twice as much again."""
         factor, scale = self._factor(precision)
         return scale * factor.solve(scale * self._right), factor.variance() * scale**2
+
+    def evidence(self, precision: Floats) -> float:
+        """Returns the logarithm of how likely outlines are whatever the unknowns, but for what is alike for all priors.
+
+        MacKay, "Bayesian interpolation", 1992: of two systems with the same rows and weights, the difference is that of
+        their marginal likelihoods.
+        """
+        factor, scale = self._factor(precision)
+        solution = scale * factor.solve(scale * self._right)
+        misfit = float((self.row_weights * (self._targets - self._predicted(solution)) ** 2).sum())
+        return -0.5 * (misfit + float((precision * solution**2).sum()) + factor.log_determinant())
 
     def _factor(self, precision: Floats) -> tuple[ArrowFactor, Floats]:
         # in units of the prior's spread the system is well scaled whatever it is

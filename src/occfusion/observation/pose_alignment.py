@@ -63,18 +63,15 @@ CERTAIN = 5.0
 """Standard deviations from which on pictures are certainly shifted or scaled, as in `data.registration`."""
 FULL_TURN, FULL_PLACE = 0.02, 0.01
 """Radians and metres: spreads from which on training may move poses as fast as its rates say."""
-FULL_KNOTS, WIDEST, MOST_KNOTS = 120, 8, 500
-"""Knots from which on they lie farther apart, up to so many frames; knots from which on farther still. What an
-estimator gets wrong changes within some frames: with 17 from knot to knot next to nothing of it was found."""
 LEAST_LOOKS, LOOKS_A_KNOT = 240, 2
 """Frames that are looked at of a long sequence, and for each knot: more say the same again, and cost as much
 (docs/experiments/049-long-videos.md)."""
 AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Of the correction, that are tried on frames that it was not found by."""
-WORTH = 0.1
-"""Of the misfit with masks, the share that has to go before anything is taken. Clothes that stand off all the time let
-exact poses gain half a percent; mask edges that are off by pixels and stay so for some frames, 7. Poses that are off by
-0.01 radians gain 13, those of estimators 25 to 60 (docs/experiments/046-masks-that-wander.md)."""
+"""Of the correction, that are tried on places of the body that it was not found by."""
+WORTH = 0.08
+"""Of the misfit with masks there, the share that has to go before anything is taken. Exact poses gain 1 %, and 6 with
+mask edges that are off by pixels and stay so for some frames; poses that are off by 0.01 radians gain 10, those of
+estimators 20 to 46 (docs/experiments/056-frames-far-apart.md)."""
 LEAST_FRAMES = 10
 
 
@@ -86,9 +83,9 @@ class Alignment:
         turns: of the spline's knots, `[K, 24, 3]`, radians.
         places: `[K, 3]`, metres.
         spreads: standard deviation of what each group of joints, and the place, is off: radians, metres.
-        amount: of what outlines ask for, that is taken: with it bodies fit the masks of frames best that it was not
-            found by. 0 where that is not worth it.
-        gain: share of the misfit with those masks that goes with the best amount.
+        amount: of what outlines ask for, that is taken: with it bodies fit masks best at places of the body that it was
+            not found by. 0 where that is not worth it.
+        gain: share of the misfit there that goes with the best amount.
         told: share of each turn that outlines tell, `[K, 24, 3]`, 0 to 1.
         first: of the spline.
         spacing: of the spline.
@@ -140,8 +137,8 @@ class Alignment:
         return (
             f"outlines lie {self.before:.2f} px off the poses as given and {self.noise:.2f} px off the aligned ones; "
             f"joints are off by {np.degrees(np.median(turns)):.1f} degrees, the place by "
-            f"{1000 * self.spreads['place']:.0f} mm. Of the misfit with masks of frames left out {self.gain:.1%} goes; "
-            f"{self.amount:g} of it is taken, nothing below {WORTH:.0%}"
+            f"{1000 * self.spreads['place']:.0f} mm. Of the misfit with masks at places left out {self.gain:.1%} goes; "
+            f"{self.amount:g} of it is taken, nothing below {WORTH:.0%}. A knot lies at every {self.spacing:.2g} frames"
         )
 
 
@@ -181,12 +178,13 @@ class Aligner:
         frames: Sequence[int] | None = None,
     ) -> None:
         frames = [look.index for look in looks] if frames is None else frames
-        self._spline = PoseSpline.over(frames, frames_a_knot(len(frames), every))
+        self._spline = PoseSpline.over(frames, every)
         self._looks, self._body, self._registered = looks, body, registered
         self._weights = np.stack([spline_weights(self._spline, look.index) for look in looks])
         self._knots = self._spline.knots
         rest = body.rest(looks[0].pose.betas).vertices.double().cpu().numpy()
         self._patch = _patches(rest)
+        self._left_out = self._patch % 2 == 1
         self._count = self._knots * POSE_COLUMNS
         group = np.zeros(POSE_COLUMNS, np.int64)
         for number, joints in enumerate(GROUPS.values()):
@@ -202,19 +200,19 @@ class Aligner:
     def run(self) -> Alignment | None:
         """Returns the alignment; None where outlines tell too little."""
         picture, picture_error, everyone = np.zeros(3), np.ones(3), range(len(self._looks))
-        half, others = everyone[::2], everyone[1::2]
-        first = (
+        half, kept = everyone[::2], ~self._left_out
+        few = (
             half if len(half) >= LOOKS_A_KNOT * (self._knots - 3) else everyone
         )  # a knot lies on either side
         for number in range(ROUNDS):
             reach = 2.0 * REACH if number == 0 else REACH
-            if not self._step(first, reach, self._registered):
+            if not self._step(few, reach, self._registered, kept):
                 return None
             if not self._registered:
                 picture, picture_error = self._picture
-        if not self._step(half, REACH, True):
+        if not self._step(few, REACH, True, kept):
             return None
-        amount, gain = self._best_amount(others)
+        amount, gain = self._best_amount(few)
         for _ in range(SETTLING if amount else 0):  # what is not taken need not be found to the end
             if not self._step(everyone, REACH, True):
                 return None
@@ -244,47 +242,97 @@ class Aligner:
     def _best_amount(self, positions: Sequence[int]) -> tuple[float, float]:
         """Returns how much of the correction is taken, and the share of the misfit with masks that goes with the best.
 
-        By the masks of frames that it was not found by; nothing is taken where that is not worth it.
+        At places of the body that it was not found by, every other one; nothing is taken where that is not worth it.
+        Other frames would not do: where they lie farther apart than errors last they say nothing of each other, and
+        edges of masks that are off stay so for some frames.
         """
 
         def errors(k: int) -> Floats:
             amounts = [tuple(a * part for part in self.correction(k)) for a in AMOUNTS]
-            return misfits(self._body, self._looks[k], amounts)
+            return misfits(self._body, self._looks[k], amounts, self._left_out)
 
         misfit = np.mean(list(threaded_map(errors, positions, torch.get_num_threads())), axis=0)
         best = int(misfit.argmin())
         gain = 1.0 - float(misfit[best]) / max(float(misfit[0]), 1e-12)
         return (AMOUNTS[best] if gain >= WORTH else 0.0), gain
 
-    def _step(self, positions: Sequence[int], reach: float, registered: bool) -> bool:
-        each = max(1, len(positions) // LEAST_LOOKS)  # so that memory does not grow with the looks
-
-        def witness_of(k: int) -> Witness | None:
-            witness = observe_outline(self._body, self._looks[k], self.correction(k), reach)
-            return witness if witness is None or each == 1 else witness.thinned(each)
-
-        found = threaded_map(witness_of, positions, torch.get_num_threads())
-        seen = [(k, witness) for k, witness in zip(positions, found, strict=True) if witness is not None]
+    def _step(
+        self,
+        positions: Sequence[int],
+        reach: float,
+        registered: bool,
+        kept: NDArray[np.bool_] | None = None,
+    ) -> bool:
+        seen = self.observe(positions, reach, kept)
         if len(seen) < min(LEAST_FRAMES, len(positions)):
             return False
         system = OutlineSystem(seen, self._weights, self._patch, self.values, registered)
         if not self.before:
             self.before = 1.4826 * float(np.median(np.abs(system.offsets)))
-        precision = np.concatenate([self.spreads[self._group] ** -2.0, system.fixed_precision])
-        for _ in range(2):  # weights, from the residual about the last fit
-            system.weigh()
-            system.settle(system.solve(precision))
-        system.weigh()
-        for _ in range(EVIDENCE_STEPS):
-            precision[: self._count] = self.spreads[self._group] ** -2.0
-            solution, variance = system.solve_with_variance(precision)
-            self._update_spreads(solution[: self._count], variance[: self._count])
+        self._weigh(system)
+        solution, variance = self._find_spreads(system)
         self.values = solution[: self._count].reshape(self._knots, POSE_COLUMNS)
         few = slice(self._count, self._count + 3)
         as_place = self.spreads[-1] * system.per_metre * np.array([1.0, 1.0, 1.0 / system.focal])
         self._picture = solution[few], np.sqrt(variance[few] + as_place**2)
         self._variance, self.noise = variance[: self._count], system.noise
         return True
+
+    def observe(
+        self, positions: Sequence[int], reach: float, kept: NDArray[np.bool_] | None = None
+    ) -> list[tuple[int, Witness]]:
+        """Returns what outlines say about the bodies as they are corrected so far, of frames that show any.
+
+        Args:
+            positions: of the frames.
+            reach: as in `observe_outline`.
+            kept: vertices whose points of an outline are taken, `[V]`; None: all.
+        """
+        each = max(1, len(positions) // LEAST_LOOKS)  # so that memory does not grow with the looks
+
+        def witness_of(k: int) -> Witness | None:
+            witness = observe_outline(self._body, self._looks[k], self.correction(k), reach)
+            if witness is not None and each > 1:
+                witness = witness.only(slice(None, None, each))
+            return witness if witness is None or kept is None else witness.only(kept[witness.vertices])
+
+        found = threaded_map(witness_of, positions, torch.get_num_threads())
+        return [(k, witness) for k, witness in zip(positions, found, strict=True) if witness is not None]
+
+    def _precision(self, system: OutlineSystem) -> Floats:
+        return np.concatenate([self.spreads[self._group] ** -2.0, system.fixed_precision])
+
+    def _weigh(self, system: OutlineSystem) -> None:
+        """Weighs outlines by the residual about their fit."""
+        for _ in range(2):
+            system.weigh()
+            system.settle(system.solve(self._precision(system)))
+        system.weigh()
+
+    def _find_spreads(self, system: OutlineSystem) -> tuple[Floats, Floats]:
+        """Makes the spreads likelier; returns the unknowns and their variances."""
+        for _ in range(EVIDENCE_STEPS):
+            solution, variance = system.solve_with_variance(self._precision(system))
+            self._update_spreads(solution[: self._count], variance[: self._count])
+        return solution, variance
+
+    def likelihood(
+        self, seen: Sequence[tuple[int, Witness]], weighed: OutlineSystem | None
+    ) -> tuple[float, OutlineSystem]:
+        """Returns the evidence of knots as they lie, with the spreads that it is largest for, and the weighed outlines.
+
+        Args:
+            seen: outlines about the poses as given.
+            weighed: a system of them whose weights are taken; None: they are found.
+        """
+        system = OutlineSystem(seen, self._weights, self._patch, self.values, self._registered)
+        if weighed is None:
+            self._weigh(system)
+        else:
+            system.weigh_as(weighed)
+        for _ in range(2):
+            self._find_spreads(system)
+        return system.evidence(self._precision(system)), system
 
     def _update_spreads(self, values: Floats, variance: Floats) -> None:
         """Gives each group the spread that makes what is seen most likely, one step of MacKay's."""
@@ -316,7 +364,7 @@ def align_poses(
     Args:
         looks: at training frames, in order of time; of a long sequence those of `positions_looked_at` are enough.
         body: of their poses.
-        every: frames from one knot to the next; more where the sequence is long.
+        every: frames from one knot to the next.
         registered: shift and scale of the pictures are known: cameras are corrected.
         frames: numbers of all training frames; None: those that are looked at.
     """
@@ -325,30 +373,22 @@ def align_poses(
     return Aligner(looks, body, every, registered=registered, frames=frames).run()
 
 
-def frames_a_knot(count: int, every: int) -> int:
-    """Returns how many of so many frames lie between knots: `every`, and more of a long sequence."""
-    return max(every, min(WIDEST, math.ceil(count / FULL_KNOTS)), math.ceil(count / MOST_KNOTS))
-
-
 def positions_looked_at(count: int, every: int) -> list[int]:
     """Returns which of so many training frames are looked at: some of a long sequence, from its first to its last.
 
     Args:
         count: of the frames.
-        every: frames from one knot to the next, as asked for.
+        every: frames from one knot to the next.
     """
-    wanted = min(count, max(LEAST_LOOKS, LOOKS_A_KNOT * math.ceil(count / frames_a_knot(count, every))))
+    wanted = min(count, max(LEAST_LOOKS, LOOKS_A_KNOT * math.ceil(count / every)))
     return np.linspace(0, count - 1, wanted).round().astype(int).tolist()
 
 
 def spline_weights(spline: PoseSpline, frame: float) -> Floats:
     """Returns how much each knot counts at a frame, `[K]`."""
-    place = (frame - spline.first) / spline.spacing
-    start = min(int(place), spline.knots - 4)
-    u, out = place - start, np.zeros(spline.knots)
-    out[start : start + 4] = (
-        np.array([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3]) / 6
-    )
+    start, shares = spline.weights_at(frame)
+    out = np.zeros(spline.knots)
+    out[start : start + 4] = shares
     return out
 
 

@@ -65,10 +65,10 @@ class Witness:
     size: float
     focal: float
 
-    def thinned(self, each: int) -> Witness:
-        """Returns every `each`-th of the points: neighbours on an outline say much the same."""
-        points = ("offsets", "turns", "shape", "picture", "per_metre", "vertices")
-        return replace(self, **{name: getattr(self, name)[::each].copy() for name in points})
+    def only(self, points: slice | NDArray[np.bool_]) -> Witness:
+        """Returns some of the points."""
+        names = ("offsets", "turns", "shape", "picture", "per_metre", "vertices")
+        return replace(self, **{name: getattr(self, name)[points].copy() for name in names})
 
 
 @dataclass(frozen=True)
@@ -153,29 +153,49 @@ def observe_outline(
 
 
 @torch.no_grad()
-def misfits(body: Body, look: Look, corrections: Sequence[tuple[Floats, ...]]) -> Floats:
+def misfits(
+    body: Body, look: Look, corrections: Sequence[tuple[Floats, ...]], places: NDArray[np.bool_]
+) -> Floats:
     """Returns how far the body and the mask of a frame differ under corrections of the pose, of the body's pixels.
 
-    What is hidden by the first of them is left out of all.
+    What is hidden under the first of them is left out of all, and where it has the body decides what a pixel belongs
+    to.
 
     Args:
         body: of the pose.
         look: at the frame.
         corrections: turns `[24, 3]` and shift `[3]` each.
+        places: vertices of the body that pixels have to be nearest to, `[V]`.
     """
     found, area = [], 1
-    hidden = np.zeros_like(look.seen)
+    counted = np.zeros_like(look.seen)
+    faces = body.faces.cpu().numpy()
     for number, correction in enumerate(corrections):
         turns, shift = (torch.from_numpy(part).double() for part in correction)
         figure = _Figure(body, look.pose, turns, shift)
         viewmat, K = (part.double().cpu().numpy() for part in (look.camera.viewmat, look.camera.K))
         pixels, depth = project_vertices(figure.vertices, viewmat, K)
         height, width = look.seen.shape
-        covered = rasterize_mesh(pixels, depth, body.faces.cpu().numpy(), width, height).face >= 0
+        face = rasterize_mesh(pixels, depth, faces, width, height).face
+        covered = face >= 0
         if number == 0:
-            hidden, area = _hidden(covered, look.seen, person_size(covered)), max(1, int(covered.sum()))
-        found.append(float(((covered ^ look.seen) & ~hidden).sum()) / area)
+            area = max(1, int(covered.sum()))
+            counted = ~_hidden(covered, look.seen, person_size(covered))
+            counted &= places[faces[:, 0]][_spread(face.astype(np.int64), covered)]
+        found.append(float(((covered ^ look.seen) & counted).sum()) / area)
     return np.array(found)
+
+
+def _spread(values: NDArray[np.int64], where: Mask) -> NDArray[np.int64]:
+    """Returns values of the nearest pixel that has one, `[H, W]`; 0 where none has."""
+    if not where.any():
+        return np.zeros_like(values)
+    _, label = cv2.distanceTransformWithLabels(
+        (~where).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_label = np.zeros(int(label.max()) + 1, values.dtype)
+    of_label[label[where]] = values[where]
+    return np.asarray(of_label[label])
 
 
 def _hidden(body: Mask, seen: Mask, size: float) -> Mask:

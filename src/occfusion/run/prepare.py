@@ -24,6 +24,7 @@ from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.inpaint.completion_net import check_completion_net
 from occfusion.observation.frames import ObservedFrame, observe_frames
+from occfusion.observation.knot_spacing import frames_a_knot, likely_spacing, window
 from occfusion.observation.light import Light, observe_light
 from occfusion.observation.pose_alignment import Alignment, align_poses, aligned_pose, positions_looked_at
 from occfusion.observation.pose_witness import Look
@@ -195,10 +196,15 @@ def _register_and_align(
     """
 
     def align(*, registered: bool) -> Alignment | None:
-        knots = settings.optim.pose_knots
-        positions = positions_looked_at(len(data.train_indices), knots)
-        looks = [Look.at(data.train_frame(k, truth=False)) for k in positions]
-        return align_poses(looks, body, knots, registered=registered, frames=data.train_indices)
+        most, count = settings.optim.pose_knots, len(data.train_indices)
+
+        def look_at(positions: Sequence[int]) -> list[Look]:
+            return [Look.at(data.train_frame(k, truth=False)) for k in positions]
+
+        found = likely_spacing(look_at(window(count)), body, most, registered=registered)
+        every = frames_a_knot(count, found, most)
+        looks = look_at(positions_looked_at(count, every))
+        return align_poses(looks, body, every, registered=registered, frames=data.train_indices)
 
     is_off = settings.registration == "off"
     alignment = align(registered=is_off) if is_alignment_asked(settings) else None
