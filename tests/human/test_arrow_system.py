@@ -49,6 +49,8 @@ def test_solution_and_variance_are_those_of_the_dense_matrix(sizes: list[int], s
     solution = factor.solve(right)
     np.testing.assert_allclose(solution * unit, inverse @ right * unit, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(dense @ solution, right, atol=1e-6)
+    whole = np.linalg.slogdet(dense / unit[:, None] / unit)[1] + 2.0 * np.log(unit).sum()
+    assert factor.log_determinant() == pytest.approx(whole, rel=1e-9)
 
 
 def test_parts_are_left_as_they_are() -> None:

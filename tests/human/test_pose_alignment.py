@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import torch
 from scipy.ndimage import gaussian_filter
+from scipy.stats import multivariate_normal
 
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human import Avatar, Body, PoseSpline, embedded_body, load_avatar, save_avatar
 from occfusion.observation import pose_alignment
-from occfusion.observation.knot_spacing import frames_a_knot
+from occfusion.observation.knot_spacing import frames_a_knot, likely_spacing, window
 from occfusion.observation.outline_system import OutlineSystem
 from occfusion.observation.pose_alignment import (
     GROUPS,
@@ -25,7 +26,7 @@ from occfusion.observation.pose_alignment import (
     positions_looked_at,
     spline_weights,
 )
-from occfusion.observation.pose_witness import Look, Witness, _Figure, observe_outline
+from occfusion.observation.pose_witness import Look, Witness, _Figure, _spread, misfits, observe_outline
 from occfusion.synth.disturb import move_edge
 from occfusion.types import Camera, Frame, Pose
 
@@ -100,9 +101,9 @@ def off(body: Body, found: list[Pose], true: Callable[[int], Pose]) -> tuple[flo
     return 1000 * float(np.sqrt((across**2).sum(-1).mean())), 1000 * float(np.sqrt((along**2).mean()))
 
 
-def wrong(spread: float, place: float = 0.0) -> Callable[[int], Pose]:
-    """The motion with errors that are smooth in time."""
-    spline = PoseSpline.over(range(FRAMES), 6)
+def wrong(spread: float, place: float = 0.0, every: int = 6) -> Callable[[int], Pose]:
+    """The motion with errors that are smooth in time; with a knot a frame, next to independent from frame to frame."""
+    spline = PoseSpline.over(range(FRAMES), every)
     generator = torch.Generator().manual_seed(5)
     spline.turns.data = spread * torch.randn(spline.turns.shape, generator=generator)
     spline.places.data = place * torch.randn(spline.places.shape, generator=generator)
@@ -232,12 +233,90 @@ def test_the_system_is_solved_as_stacked_least_squares(
     np.testing.assert_allclose(variance, np.diag(inverse), rtol=1e-5)
 
 
-def aligned(body: Body, found: list[Look]) -> tuple[pose_alignment.Alignment, list[Pose]]:
-    looked_at = [found[k] for k in positions_looked_at(len(found), 4)]
-    alignment = align_poses(looked_at, body, 4, frames=[look.index for look in found])
+def test_evidence_is_how_likely_what_is_seen_is(whole_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two priors' difference, against the densities of what both say of the outlines together, as a dense normal."""
+    monkeypatch.setattr(pose_alignment, "PATCHES", 6)
+    aligner = Aligner(looks(whole_body, motion, wrong(0.03))[:4], whole_body, 2)
+    seen = [(k, witness.only(slice(None, None, 9))) for k, witness in aligner.observe(range(4), 0.08)]
+    system = OutlineSystem(seen, aligner._weights, aligner._patch, aligner.values, False)
+    system.weigh()
+    system.row_weights = np.maximum(system.row_weights, 0.1)  # a row that counts nothing has no density
+    system._assemble()
+    patches = int(aligner._patch.max()) + 1
+
+    def row_of(k: int, w: Witness) -> np.ndarray:
+        place = w.per_metre[:, None] * (aligner._patch[w.vertices][:, None] == np.arange(patches))
+        knots = np.kron(aligner._weights[k], w.turns)
+        return np.concatenate([knots, w.picture, w.shape, w.per_metre[:, None], place], axis=1)
+
+    rows, targets = np.concatenate([row_of(k, w) for k, w in seen]), system.offsets
+    found, wanted = [], []
+    for spread in (0.003, 0.05):
+        precision = np.concatenate([np.full(system.count, spread**-2.0), system.fixed_precision])
+        found.append(system.evidence(precision))
+        covariance = np.diag(1.0 / system.row_weights) + (rows / precision) @ rows.T
+        wanted.append(multivariate_normal(cov=covariance).logpdf(targets))
+    assert found[1] - found[0] == pytest.approx(wanted[1] - wanted[0], rel=1e-6)
+    assert abs(found[1] - found[0]) > 1.0
+    other = OutlineSystem(seen, aligner._weights, aligner._patch, aligner.values, False)
+    other.weigh_as(system)
+    assert other.evidence(precision) == found[1]
+
+
+def test_what_is_nearest_to_places_is_counted(whole_body: Body) -> None:
+    """Of two halves of the body, what is counted adds up to the whole; a leg that is off is off in its own half."""
+    look = looks(whole_body, motion, wrong(0.05))[4]
+    nothing = np.zeros((24, 3)), np.zeros(3)
+    legs = np.isin(whole_body.weights.argmax(dim=1).numpy(), [1, 2, 4, 5, 7, 8, 10, 11])
+    turned = np.zeros((24, 3))
+    turned[4, 0] = 0.5
+    corrections = [nothing, (turned, np.zeros(3))]
+    all_, own, other = (misfits(whole_body, look, corrections, of) for of in (legs | True, legs, ~legs))
+    np.testing.assert_allclose(own + other, all_, rtol=1e-12)
+    assert own[1] - own[0] > 3.0 * abs(other[1] - other[0])
+    assert not misfits(whole_body, look, corrections, legs & False).any()
+
+
+def test_values_are_those_of_the_nearest_pixel() -> None:
+    rng = np.random.default_rng(2)
+    where, values = rng.random((20, 31)) < 0.05, rng.integers(0, 999, (20, 31))
+    found, places = _spread(values, where), np.argwhere(where)
+    for pixel in np.ndindex(found.shape):
+        distances = np.linalg.norm(places - pixel, axis=1)
+        near = places[
+            distances <= 1.03 * distances.min()
+        ]  # the transform's distances are off by some percent
+        assert found[pixel] in values[tuple(near.T)]
+    assert not _spread(values, np.zeros_like(where)).any()
+
+
+def aligned(
+    body: Body, found: list[Look], every: int | None = None
+) -> tuple[pose_alignment.Alignment, list[Pose]]:
+    if every is None:
+        every = frames_a_knot(len(found), likely_spacing([found[k] for k in window(len(found))], body, 4), 4)
+    looked_at = [found[k] for k in positions_looked_at(len(found), every)]
+    alignment = align_poses(looked_at, body, every, frames=[look.index for look in found])
     assert alignment is not None
     spline = alignment.spline()
     return alignment, [aligned_pose(look.pose, spline, body) for look in found]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pixels", [0.0, 2.0])
+def test_errors_that_last_no_longer_than_a_frame_are_put_right(whole_body: Body, pixels: float) -> None:
+    """Their knots lie at each frame, also where edges of masks are off; those of smooth errors farther apart."""
+    found = looks(whole_body, wrong(0.05, 0.01, every=1), motion)
+    found = wander(found, pixels) if pixels else found
+    before = off(whole_body, [look.pose for look in found], motion)
+    assert likely_spacing(found, whole_body, 4) == 1
+    _, poses = aligned(whole_body, found)
+    after = off(whole_body, poses, motion)
+    assert after[0] < 0.75 * before[0] and after[1] < 1.1 * before[1]
+    smooth = wrong(0.05, 0.01)
+    assert likely_spacing(looks(whole_body, smooth, motion), whole_body, 4) > 1
+    assert likely_spacing(found[:9], whole_body, 4) == 4  # too few to ask
+    assert likely_spacing(found, whole_body, 1) == 1
 
 
 @pytest.mark.slow
@@ -265,7 +344,7 @@ def test_right_poses_are_left_alone(whole_body: Body) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("spread", "pixels"), [(0.0, 3.0), (0.01, 1.0), (0.03, 2.0)])
 def test_masks_whose_edges_wander_are_told_from_poses(whole_body: Body, spread: float, pixels: float) -> None:
-    """Frames left out err as their neighbours do, and so let exact poses gain a little."""
+    """Places left out gain by poses that are mended, and hardly by edges that are explained."""
     given = wrong(spread, 0.3 * spread) if spread else motion
     found = align_poses(wander(looks(whole_body, given, motion), pixels), whole_body, 4)
     assert found is not None and found.is_taken == bool(spread)
@@ -360,7 +439,7 @@ def test_of_a_long_sequence_a_part_is_looked_at_and_all_is_put_right(
 
     monkeypatch.setattr(pose_alignment, "observe_outline", watched)
     found = looks(whole_body, wrong(0.03), motion)
-    alignment, poses = aligned(whole_body, found)
+    alignment, poses = aligned(whole_body, found, every=4)
     assert len(set(seen)) == 16 and {0, FRAMES - 1} <= set(seen)
     assert alignment.first == 0 and alignment.spacing * (len(alignment.turns) - 3) == pytest.approx(
         FRAMES - 1
@@ -370,33 +449,41 @@ def test_of_a_long_sequence_a_part_is_looked_at_and_all_is_put_right(
     assert across < 0.7 * before
 
 
-def test_a_thinned_outline_has_every_second_point_and_all_of_each(whole_body: Body) -> None:
+def test_a_part_of_an_outline_has_all_of_each_of_its_points(whole_body: Body) -> None:
     look = looks(whole_body, wrong(0.03), motion)[5]
     witness = observe_outline(whole_body, look, (np.zeros((24, 3)), np.zeros(3)), 0.08)
     assert witness is not None
-    half = witness.thinned(2)
+    half = witness.only(slice(None, None, 2))
     assert (half.size, half.focal) == (witness.size, witness.focal)
     for name in ("offsets", "turns", "shape", "picture", "per_metre", "vertices"):
         np.testing.assert_array_equal(getattr(half, name), getattr(witness, name)[::2], err_msg=name)
 
 
 @pytest.mark.parametrize(
-    ("count", "every", "looks"),
+    ("count", "found", "every", "looks"),
     [
-        (10, 4, 10),
-        (100, 4, 100),
-        (480, 4, 240),
-        (500, 5, 240),
-        (1000, 8, 250),
-        (2000, 8, 500),
-        (8000, 16, 1000),
+        (10, 4, 4, 10),
+        (100, 4, 4, 100),
+        (480, 4, 4, 240),
+        (500, 4, 5, 240),
+        (1000, 4, 8, 250),
+        (2000, 4, 8, 500),
+        (8000, 4, 16, 1000),
+        (500, 2, 2, 500),  # where errors change as fast, knots do not lie farther apart
+        (400, 1, 1, 400),
+        (2000, 1, 4, 1000),
     ],
 )
-def test_knots_of_a_long_sequence_stay_near_each_other(count: int, every: int, looks: int) -> None:
-    positions = positions_looked_at(count, 4)
-    assert frames_a_knot(count, 4) == every and len(positions) == len(set(positions)) == looks
+def test_knots_of_a_long_sequence_stay_near_each_other(
+    count: int, found: int, every: int, looks: int
+) -> None:
+    assert frames_a_knot(count, found, 4) == every
+    positions = positions_looked_at(count, every)
+    assert len(positions) == len(set(positions)) == looks
     assert positions[0] == 0 and positions[-1] == count - 1
-    assert frames_a_knot(count, 20) == 20
+    assert frames_a_knot(count, 20, 20) == 20
+    asked = window(count)
+    assert len(asked) == min(count, 50) and count - asked.stop - asked.start in (0, 1)
 
 
 def test_alignment_is_the_same_for_any_number_of_threads(whole_body: Body) -> None:

@@ -69,9 +69,8 @@ LEAST_LOOKS, LOOKS_A_KNOT = 240, 2
 AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the correction, that are tried on places of the body that it was not found by."""
 WORTH = 0.08
-"""Of the misfit with masks there, the share that has to go before anything is taken. Exact poses gain 1 %, and 6 with
-mask edges that are off by pixels and stay so for some frames; poses that are off by 0.01 radians gain 10, those of
-estimators 20 to 46 (docs/experiments/056-frames-far-apart.md)."""
+"""Of the misfit with masks there, the share that has to go before anything is taken: exact poses gain 1 %, 6 where mask
+edges wander by pixels; estimators' poses gain 23 and more (docs/experiments/056-frames-far-apart.md)."""
 LEAST_FRAMES = 10
 
 

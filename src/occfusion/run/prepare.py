@@ -328,7 +328,7 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         evaluating = evaluation_metric(settings.evaluation, perceptual)
     frames = observed.frames or []
     completed = frames_to_complete(frames, plan.settings.init.max_frames) if "init" in plan.stages else None
-    is_aligned = observed.alignment is not None and observed.alignment.is_taken
+    alignment = observed.alignment
     training = AvatarTraining(
         settings=settings,
         planned=plan.settings,
@@ -342,7 +342,7 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         metric=metric,
         evaluation_metric=evaluating,
         renderer=observed.renderer,
-        aligned=settings.optim.pose_knots if is_aligned else 0,
+        aligned=round(alignment.spacing, 6) if alignment is not None and alignment.is_taken else 0.0,
     )
     return Run(plan, _make_avatar(plan.settings, observed), training, observed.coverage)
 

@@ -183,7 +183,7 @@ class AvatarTraining:
     metric: PerceptualMetric | None
     evaluation_metric: PerceptualMetric | None
     renderer: Renderer
-    aligned: int
+    aligned: float
     watching: Sequence[L.Callback] = ()
 
     def warm_up(self, name: str) -> None:

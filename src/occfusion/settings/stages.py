@@ -326,7 +326,11 @@ class OptimSettings(AvatarSettings):
     )
     refine_pose: bool = setting(True, "GauHuman's network of pose corrections")
     pose_knots: int = setting(
-        4, "training frames from one knot to the next of the corrections frame by frame; 0: none", 0, 10_000
+        4,
+        "training frames from one knot to the next of the corrections frame by frame, fewer where outlines say so; "
+        "0: none",
+        0,
+        10_000,
     )
     align_poses: bool = setting(
         True,
