@@ -71,7 +71,7 @@ AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 WORTH = 0.08
 """Of the misfit with masks there, the share that has to go before anything is taken: exact poses gain 1 %, 6 where mask
 edges wander by pixels; estimators' poses gain 23 and more (docs/experiments/056-frames-far-apart.md)."""
-LEAST_FRAMES = 10
+LEAST_FRAMES = 4
 
 
 @dataclass(frozen=True)
