@@ -13,6 +13,7 @@ from safetensors.torch import load_file
 from app.test_multirun import COMMAND, ENVIRONMENT
 from occfusion.cpu.processes import helped_folder
 from occfusion.data.sampling import StepSampler
+from occfusion.files.lock import only_one
 
 RECORDER = Path(__file__).with_name("two_processes.py")
 # a slow machine is to write no row of the curve between the first and the last
@@ -52,10 +53,20 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory, scene_root: Path) -> tuple[Path, Any, list[Any]]:
-    """A run of seven steps that nobody stopped: its folder, what it said, and both records."""
-    cwd = tmp_path_factory.mktemp("whole")
-    return cwd, *train(cwd, scene_root, *SEVEN, records="whole")
+def whole(tmp_path_factory: pytest.TempPathFactory, scene_root: Path) -> tuple[Path, str, list[Any]]:
+    """A run of seven steps that nobody stopped: its folder, what it said, both records; once for all test workers."""
+    place = tmp_path_factory.getbasetemp()
+    cwd = (place.parent if "PYTEST_XDIST_WORKER" in os.environ else place) / "two_processes"
+    said = cwd / "said.txt"
+    with only_one(Path(f"{cwd}.lock")):
+        if not said.is_file():
+            cwd.mkdir()
+            said.write_text(train(cwd, scene_root, *SEVEN, records="whole")[0].stdout)
+    return (
+        cwd,
+        said.read_text(),
+        [torch.load(cwd / "whole" / f"{rank}.pt", weights_only=True) for rank in (0, 1)],
+    )
 
 
 def assert_averaged(first: dict[str, Any], second: dict[str, Any]) -> None:
@@ -70,9 +81,9 @@ def assert_averaged(first: dict[str, Any], second: dict[str, Any]) -> None:
     assert_same(first["state"], second["state"])
 
 
-def test_two_processes_train_one_avatar(whole: tuple[Path, Any, list[Any]]) -> None:
+def test_two_processes_train_one_avatar(whole: tuple[Path, str, list[Any]]) -> None:
     """Other frames, equal parameters; Gaussians that are added between steps are averaged as those before them."""
-    cwd, done, (first, second) = whole
+    cwd, said, (first, second) = whole
     sampler = StepSampler(10, 0)
     dealt = [f"Camera_B1/{sampler.position_at(k):06d}" for k in range(14)]
     assert (first["frames"][:7], second["frames"][:7]) == (dealt[0::2], dealt[1::2])
@@ -82,14 +93,14 @@ def test_two_processes_train_one_avatar(whole: tuple[Path, Any, list[Any]]) -> N
     written = load_file(folder / "optim" / "avatar.safetensors")
     assert torch.equal(written["gaussians.means"], first["state"]["gaussians.means"])
     assert [path.name for path in folder.parent.iterdir() if not path.name.startswith(".")] == ["A"]
-    assert done.stdout.count("run folder: ") == 1 and not list(folder.rglob("*.partial"))
+    assert said.count("run folder: ") == 1 and not list(folder.rglob("*.partial"))
     assert (folder / "error_vs_time.csv").read_text().count("\noptim,") == 2
     assert (folder / "losses.csv").read_text().count("\noptim,") == 7
 
 
 @pytest.mark.slow
 def test_stopped_by_a_signal_to_one_of_them_and_resumed(
-    whole: tuple[Path, Any, list[Any]], tmp_path: Path, scene_root: Path
+    whole: tuple[Path, str, list[Any]], tmp_path: Path, scene_root: Path
 ) -> None:
     """Both stop after the same step, a round of densification behind them and one before, and the same command gives
     what an uninterrupted one does, bit for bit."""

@@ -81,6 +81,16 @@ def test_the_shared_folder_can_be_chosen(tmp_path: Path) -> None:
     assert a.name != shared_folder(RunFolder(tmp_path / "run"), None, "init", {"data": "y", "k": 1}).name
 
 
+def test_another_version_of_the_program_does_not_share(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it would have made is not known: poses may be aligned in another way, and masks be completed about them."""
+    asked = RunFolder(tmp_path / "run"), None, "init", {"data": "x"}
+    before = shared_folder(*asked)
+    monkeypatch.setattr("occfusion.__version__", "0.0.1")
+    assert shared_folder(*asked) != before
+
+
 def test_without_links_files_are_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any) -> None:
         raise OSError

@@ -149,3 +149,67 @@ def test_ctrl_c_that_falls_into_a_destructor_is_not_lost(kept: bool) -> None:
     )
     assert (done.returncode, "Traceback" in done.stderr) == ((130, False) if kept else (0, True)), done.stderr
     assert not kept or done.stderr == ""
+
+
+DURING_COMPOSITION = """
+import signal, sys
+from pathlib import Path
+import omegaconf.base
+from occfusion.cli.train import main
+
+is_pressed, found = False, omegaconf.base.Node._invalidate_flags_cache
+def pressed(node):
+    global is_pressed
+    frame, names = sys._getframe(1), set()
+    while frame:
+        names.add(frame.f_code.co_name)
+        frame = frame.f_back
+    if not is_pressed and names >= {{"load_config", "append", "flag_override"}}:
+        is_pressed = True
+        signal.raise_signal(signal.SIGINT)
+    return found(node)
+omegaconf.base.Node._invalidate_flags_cache = pressed
+sys.exit(main(Path({conf!r}), ["trainer.fast_dev_run=true", *{words!r}]))
+"""
+
+
+@pytest.mark.parametrize("words", [[], ["hydra.mode=RUN"]])
+def test_ctrl_c_while_settings_are_composed_is_not_lost(words: list[str], tmp_path: Path) -> None:
+    """OmegaConf, left half-way, fails in its clean-up: with an error of its own, which Hydra may swallow."""
+    code = DURING_COMPOSITION.format(conf=str(CONF), words=words)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=ENVIRONMENT,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 130, done.stderr
+    assert "stopped by SIGINT" in done.stderr and not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "composed"), [([], 1), (["hydra.verbose=false"], 2), (["--config-dir=."], 2)]
+)
+def test_settings_are_composed_once(
+    words: list[str], composed: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Twice only where a configuration could say that there are many jobs."""
+    from hydra._internal.config_loader_impl import ConfigLoaderImpl
+
+    times, load = [], ConfigLoaderImpl.load_configuration
+
+    def counted(self: ConfigLoaderImpl, *arguments: Any, **options: Any) -> Any:
+        times.append(1)
+        return load(self, *arguments, **options)
+
+    monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise OccfusionError("no")
+
+    monkeypatch.setattr("occfusion.run.app.run_in_folder", refuse)
+    monkeypatch.chdir(tmp_path)
+    assert main(CONF, [f"dataset.root={tmp_path}", *words]) == 1
+    assert len(times) == composed

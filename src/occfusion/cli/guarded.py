@@ -71,6 +71,15 @@ def guarded_hydra() -> Iterator[None]:
         yield
 
 
+@contextlib.contextmanager
+def mode_by_flags() -> Iterator[None]:
+    """Has Hydra not compose a configuration only to learn whether there are many jobs, which takes half a second."""
+    from hydra._internal.hydra import Hydra
+
+    with mock.patch.object(Hydra, "get_mode", return_value=None):
+        yield
+
+
 def check_composed(config: DictConfig) -> None:
     """Refuses a composed configuration that names code which is not known.
 

@@ -16,8 +16,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from occfusion.cli.guarded import check_arguments, guarded_hydra
-from occfusion.cli.interrupts import keep_interrupts
+from occfusion.cli.guarded import check_arguments, guarded_hydra, mode_by_flags
+from occfusion.cli.interrupts import is_interrupted, keep_interrupts
 from occfusion.cli.launchers import is_parallel, missing_launcher
 from occfusion.cli.multirun import OUTCOME, JobRecord, end_of_broken_multirun, record_job, record_start
 from occfusion.cli.optimized import answer, check_optimized_metric, is_asked
@@ -85,6 +85,8 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
     # Hydra would print a traceback and exit by itself; a user's mistake deserves one plain line
     @hydra.main(version_base="1.3", config_path=str(config_dir), config_name="config")
     def application(config: DictConfig) -> float | None:
+        if is_interrupted():
+            raise KeyboardInterrupt
         sys.argv = whole  # runs keep it, and helpers of this process are started with it
         settings = HydraConfig.get()
         overrides = [
@@ -110,20 +112,26 @@ def main(config_dir: Path, arguments: Sequence[str] | None = None) -> int:
 
     sys.argv = [whole[0], *given]  # Hydra reads nothing else
     try:
-        with guarded_hydra():
+        with guarded_hydra(), contextlib.nullcontext() if _may_name_mode(given) else mode_by_flags():
             application()
-    except SystemExit:  # Hydra has said why
-        if OUTCOME.sweep is None:
-            _hint(given)
-            raise
-        end_of_broken_multirun(1)
-    except KeyboardInterrupt:
+    except (SystemExit, KeyboardInterrupt) as end:
+        if isinstance(end, SystemExit) and not is_interrupted():  # Hydra has said why
+            if OUTCOME.sweep is None:
+                _hint(given)
+                raise
+            end_of_broken_multirun(1)
+            return OUTCOME.exit_code or state.exit_code
         print(STOPPED, file=sys.stderr)
         state.exit_code = 130
         end_of_broken_multirun(130)
     finally:
         sys.argv = whole
     return OUTCOME.exit_code or state.exit_code
+
+
+def _may_name_mode(arguments: Sequence[str]) -> bool:
+    """Returns whether a configuration may say that there are many jobs: one of the user's, or an override for Hydra."""
+    return any("hydra" in word or word.startswith(("-cd", "--c")) for word in arguments)
 
 
 def _refused(arguments: Sequence[str]) -> str | None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import occfusion
 from occfusion.errors import CheckpointError
 from occfusion.files.digest import digest_of_values
 from occfusion.files.lock import only_one
@@ -20,7 +21,7 @@ RESULTS = "results"
 
 
 def shared_folder(folder: RunFolder, chosen: str | None, stage: str, identity: Mapping[str, Any]) -> Path:
-    """Returns where a stage's result of this identity is shared.
+    """Returns where a stage's result of this identity is shared, among runs of the same version of the program.
 
     Args:
         folder: of the run that asks; variants of a scene lie beside each other by default.
@@ -29,7 +30,7 @@ def shared_folder(folder: RunFolder, chosen: str | None, stage: str, identity: M
         identity: all that the result depends on; must be writable as JSON.
     """
     root = folder.shared if chosen is None else Path(chosen)
-    return root / stage / digest_of_values(identity)
+    return root / stage / digest_of_values({**identity, "occfusion": occfusion.__version__})
 
 
 def take_or_make(
