@@ -26,6 +26,7 @@ from occfusion.fitting.batch import BodyBatch, rotations_of
 from occfusion.fitting.pipeline import Fit, fit_body
 from occfusion.fitting.quality import PREVIEW, posed, silhouette
 from occfusion.human import Body, embedded_body
+from occfusion.importing.aligning import aligned_with_masks
 from occfusion.importing.hiding import told_apart
 from occfusion.importing.sources import Choice, Given, Sources, gather
 
@@ -111,6 +112,7 @@ def main() -> None:
             )  # fmt: skip
 
         sources, fit = told_apart(body, sources, refit(sources), refit)
+        fit = aligned_with_masks(body, sources, fit)
         seconds, spent = time.perf_counter() - begun, time.process_time() - cpu
         errors, overlaps = [], []
         for k, (vertices, joints) in enumerate(posed(body, fit.solution)):

@@ -17,6 +17,7 @@ from occfusion.fitting.quality import covered_share
 from occfusion.footage.clip import SIDE
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.importing.adopt import adopt
+from occfusion.importing.aligning import aligned_with_masks
 from occfusion.importing.bodies import TOOLS
 from occfusion.importing.folder import PERSON, require_free, said, training_command, write_folder
 from occfusion.importing.hiding import told_apart
@@ -146,7 +147,10 @@ def run(arguments: argparse.Namespace) -> int:
 def fit_sources(
     body: Body, sources: Sources, arguments: argparse.Namespace, advance: Callable[[str], None]
 ) -> tuple[Sources, Fit]:
-    """Returns the body fitted to what was gathered, which is told apart from what stands before the person."""
+    """Returns the body fitted to what was gathered, which is told apart from what stands before the person.
+
+    Its poses are aligned with the outlines of the masks.
+    """
     seconds = sources.shot.seconds
     if sources.clip.pictures:  # a folder has no clock: its frames are taken for a tenth of a second apart
         seconds = [0.1 * second for second in seconds]
@@ -158,7 +162,10 @@ def fit_sources(
         )  # fmt: skip
 
     fit = fitted(sources)
-    return (sources, fit) if arguments.no_occluder else told_apart(body, sources, fit, fitted)
+    if not arguments.no_occluder:
+        sources, fit = told_apart(body, sources, fit, fitted)
+    advance("outlines")
+    return sources, aligned_with_masks(body, sources, fit)
 
 
 def finish(arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body, begun: float) -> int:
