@@ -169,6 +169,7 @@ def pressed(node):
         signal.raise_signal(signal.SIGINT)
     return found(node)
 omegaconf.base.Node._invalidate_flags_cache = pressed
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
 sys.exit(main(Path({conf!r}), ["trainer.fast_dev_run=true", *{words!r}]))
 """
 
