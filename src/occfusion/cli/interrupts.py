@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 AGAIN_SECONDS = 0.05
 """By then the destructor is left, and another one is seldom reached."""
 
-
 _before = sys.__unraisablehook__
 _is_pressed = False
 

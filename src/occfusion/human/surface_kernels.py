@@ -141,21 +141,30 @@ def _scale(log_scale: np.float32) -> tuple[np.float32, np.float32]:
 
 @inline
 def _reach(
-    quats: Array, n: int, axis: Array, v: int, sa: np.float32, sb: np.float32, sc: np.float32
-) -> Matrix:
-    """How far a Gaussian reaches along a direction, `sqrt(1 + x^2) - 1`; gradients by scales (3), quaternion (4)."""
+    quats: Array, log_scales: Array, n: int, axis: Array, v: int, by: np.float32, weight: np.float32, to_quats: Array
+) -> Matrix:  # fmt: skip
+    """How far a Gaussian reaches along a direction, in units of 1 / `by`: `weight (sqrt(1 + x^2) - 1)`.
+
+    Also its gradient by the logarithms of the scales; that by the quaternion is written.
+    """
     one = np.float32(1)
+    sa, da = _scale(log_scales[n, 0])
+    sb, db = _scale(log_scales[n, 1])
+    sc, dc = _scale(log_scales[n, 2])
     w, x, y, z, inverse_length = unit(quats, n)
     a, b, c = _along(rotation(w, x, y, z), axis, v)
-    ra, rb, rc = a * sa, b * sb, c * sc
+    ra, rb, rc = a * sa * by, b * sb * by, c * sc * by
     root = np.sqrt(one + ra * ra + rb * rb + rc * rc)
-    ra, rb, rc = ra / root, rb / root, rc / root
-    to_a, to_b, to_c = ra * a, rb * b, rc * c
+    pull = weight * by / root
+    ra, rb, rc = pull * ra, pull * rb, pull * rc
+    to_a, to_b, to_c = ra * a * da, rb * b * db, rc * c * dc
     ra, rb, rc = ra * sa, rb * sb, rc * sc
     ex, ey, ez = axis[v, 0], axis[v, 1], axis[v, 2]
     matrix = (ex * ra, ex * rb, ex * rc, ey * ra, ey * rb, ey * rc, ez * ra, ez * rb, ez * rc)
-    qw, qx, qy, qz = to_quaternion(matrix, w, x, y, z, inverse_length)
-    return root - one, to_a, to_b, to_c, qw, qx, qy, qz
+    to_quats[n, 0], to_quats[n, 1], to_quats[n, 2], to_quats[n, 3] = to_quaternion(
+        matrix, w, x, y, z, inverse_length
+    )
+    return weight * (root - one), to_a, to_b, to_c
 
 
 @kernel
@@ -176,24 +185,8 @@ def _costs(
             costs[0, n] = weight * (root - one)
             pull = weight * by_depth * (off / root)
             to_means[n, 0], to_means[n, 1], to_means[n, 2] = pull * ex, pull * ey, pull * ez
-            sa, da = _scale(log_scales[n, 0])
-            sb, db = _scale(log_scales[n, 1])
-            sc, dc = _scale(log_scales[n, 2])
-            cost, a, b, c, qw, qx, qy, qz = _reach(
-                quats, n, axis, v, sa * by_extent, sb * by_extent, sc * by_extent
-            )
-            costs[1, n] = weight * cost
-            pull = weight * by_extent
-            to_log_scales[n, 0], to_log_scales[n, 1], to_log_scales[n, 2] = (
-                pull * da * a,
-                pull * db * b,
-                pull * dc * c,
-            )
-            to_quats[n, 0], to_quats[n, 1], to_quats[n, 2], to_quats[n, 3] = (
-                weight * qw,
-                weight * qx,
-                weight * qy,
-                weight * qz,
+            costs[1, n], to_log_scales[n, 0], to_log_scales[n, 1], to_log_scales[n, 2] = _reach(
+                quats, log_scales, n, axis, v, by_extent, weight, to_quats
             )
 
 
@@ -206,20 +199,7 @@ def _tilts(
     for begin in range(part * BLOCK, len(quats), parts * BLOCK):
         for n in range(begin, min(begin + BLOCK, len(quats))):
             v = rows[n]
-            sa, _ = _scale(log_scales[n, 0])
-            sb, _ = _scale(log_scales[n, 1])
-            sc, _ = _scale(log_scales[n, 2])
-            weight = ignorance[v]
-            cost, _, _, _, qw, qx, qy, qz = _reach(
-                quats, n, normals, v, sa * by_tilt, sb * by_tilt, sc * by_tilt
-            )
-            costs[n] = weight * cost
-            to_quats[n, 0], to_quats[n, 1], to_quats[n, 2], to_quats[n, 3] = (
-                weight * qw,
-                weight * qx,
-                weight * qy,
-                weight * qz,
-            )
+            costs[n], _, _, _ = _reach(quats, log_scales, n, normals, v, by_tilt, ignorance[v], to_quats)
 
 
 @kernel

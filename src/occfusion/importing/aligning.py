@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
-import numpy as np
 import torch
 
 from occfusion.fitting.pipeline import Fit
 from occfusion.fitting.quality import measure
 from occfusion.human import Body
 from occfusion.importing.sources import Sources
-from occfusion.observation.knot_spacing import frames_a_knot, likely_spacing, window
-from occfusion.observation.pose_alignment import align_poses, aligned_pose, positions_looked_at
-from occfusion.observation.pose_witness import LARGEST, Look
+from occfusion.observation.knot_spacing import align_sequence
+from occfusion.observation.pose_alignment import aligned_pose
+from occfusion.observation.pose_witness import Look
 from occfusion.types import Camera, Pose
 
 KNOTS = 4
@@ -30,16 +28,18 @@ def aligned_with_masks(body: Body, sources: Sources, fit: Fit) -> Fit:
         sources: what it was fitted to.
         fit: the body.
     """
-    poses = _poses_of(fit, sources.shot.numbers)
+    numbers = sources.shot.numbers
+    poses = _poses_of(fit, numbers)
     if not sources.masks or len(poses) < 2:
         return fit
-    looks = _looks_at(poses, sources, fit)
-    count = len(looks)
-    found = likely_spacing([looks[k] for k in window(count)], body, KNOTS, registered=True)
-    every = frames_a_knot(count, found, KNOTS)
-    seen = [looks[k] for k in positions_looked_at(count, every)]
+    height, width = sources.masks[0].shape
+    camera = Camera(torch.eye(4), torch.tensor(fit.solution.K, dtype=torch.float32), width, height)
+
+    def look_at(position: int) -> Look:
+        return Look.of(numbers[position], poses[position], camera, sources.masks[position])
+
     # the camera is the fit's own, so that nothing is to be found of it
-    alignment = align_poses(seen, body, every, registered=True, frames=sources.shot.numbers)
+    alignment = align_sequence(look_at, numbers, body, KNOTS, registered=True)
     if alignment is None or not alignment.is_taken:
         return fit
     spline = alignment.spline()
@@ -61,15 +61,3 @@ def _poses_of(fit: Fit, numbers: Sequence[int]) -> list[Pose]:
     )
     rows = zip(orient, turns, places, numbers, strict=True)
     return [Pose(betas, first, others, place, float(number)) for first, others, place, number in rows]
-
-
-def _looks_at(poses: Sequence[Pose], sources: Sources, fit: Fit) -> list[Look]:
-    height, width = sources.masks[0].shape
-    camera = Camera(torch.eye(4), torch.tensor(fit.solution.K, dtype=torch.float32), width, height)
-    pixel = max(1.0, max(width, height) / LARGEST)
-    small = camera.resized(max(1, round(width / pixel)), max(1, round(height / pixel)))
-    looks = []
-    for pose, number, mask in zip(poses, sources.shot.numbers, sources.masks, strict=True):
-        share = cv2.resize(mask.astype(np.float32), (small.width, small.height), interpolation=cv2.INTER_AREA)
-        looks.append(Look(number, pose, small, np.asarray(share) > 0.5, pixel))
-    return looks

@@ -1,12 +1,18 @@
-"""How far apart knots of pose corrections lie: as near as errors change, which the video tells."""
+"""Alignment of a whole sequence: how far apart knots of the corrections lie, and which frames are looked at."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from occfusion.human.body import Body
-from occfusion.observation.pose_alignment import LEAST_FRAMES, Aligner
+from occfusion.observation.pose_alignment import (
+    LEAST_FRAMES,
+    Aligner,
+    Alignment,
+    align_poses,
+    positions_looked_at,
+)
 from occfusion.observation.pose_witness import REACH, Look
 
 WINDOW = 50
@@ -59,3 +65,22 @@ def frames_a_knot(count: int, found: int, most: int) -> int:
     """
     least = math.ceil(count / MOST_KNOTS)
     return max(found, least) if found < most else max(most, min(WIDEST, math.ceil(count / FULL_KNOTS)), least)
+
+
+def align_sequence(
+    look_at: Callable[[int], Look], frames: Sequence[int], body: Body, most: int, *, registered: bool
+) -> Alignment | None:
+    """Returns what outlines say of the poses of a sequence; None where they tell too little.
+
+    Args:
+        look_at: gives the look at a frame by its position.
+        frames: numbers of the frames, ascending.
+        body: of their poses.
+        most: frames from one knot to the next, at most, but for long sequences.
+        registered: shift and scale of the pictures are known.
+    """
+    count = len(frames)
+    found = likely_spacing([look_at(k) for k in window(count)], body, most, registered=registered)
+    every = frames_a_knot(count, found, most)
+    looks = [look_at(k) for k in positions_looked_at(count, every)]
+    return align_poses(looks, body, every, registered=registered, frames=frames)

@@ -92,13 +92,17 @@ class Look:
     @classmethod
     def at(cls, frame: Frame) -> Look:
         """Returns it of a frame; of a large one at a smaller size."""
-        seen, camera = frame.visible_mask.cpu().numpy(), frame.camera
+        return cls.of(frame.index, frame.pose, frame.camera, frame.visible_mask.cpu().numpy())
+
+    @classmethod
+    def of(cls, index: int, pose: Pose, camera: Camera, seen: Mask) -> Look:
+        """Returns it of a pose and a mask; of a large one at a smaller size."""
         pixel = max(seen.shape) / LARGEST
         if pixel <= 1.0:
-            return cls(frame.index, frame.pose, camera, seen)
+            return cls(index, pose, camera, seen)
         width, height = (max(1, round(side / pixel)) for side in (camera.width, camera.height))
         share = cv2.resize(seen.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-        return cls(frame.index, frame.pose, camera.resized(width, height), np.asarray(share) > 0.5, pixel)
+        return cls(index, pose, camera.resized(width, height), np.asarray(share) > 0.5, pixel)
 
 
 @torch.no_grad()

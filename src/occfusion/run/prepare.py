@@ -24,9 +24,9 @@ from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.inpaint.completion_net import check_completion_net
 from occfusion.observation.frames import ObservedFrame, observe_frames
-from occfusion.observation.knot_spacing import frames_a_knot, likely_spacing, window
+from occfusion.observation.knot_spacing import align_sequence
 from occfusion.observation.light import Light, observe_light
-from occfusion.observation.pose_alignment import Alignment, align_poses, aligned_pose, positions_looked_at
+from occfusion.observation.pose_alignment import Alignment, aligned_pose
 from occfusion.observation.pose_witness import Look
 from occfusion.perceptual import load_perceptual, training_dtype
 from occfusion.plan.decisions import is_alignment_asked, may_leave_out_networks
@@ -196,15 +196,11 @@ def _register_and_align(
     """
 
     def align(*, registered: bool) -> Alignment | None:
-        most, count = settings.optim.pose_knots, len(data.train_indices)
+        def look_at(position: int) -> Look:
+            return Look.at(data.train_frame(position, truth=False))
 
-        def look_at(positions: Sequence[int]) -> list[Look]:
-            return [Look.at(data.train_frame(k, truth=False)) for k in positions]
-
-        found = likely_spacing(look_at(window(count)), body, most, registered=registered)
-        every = frames_a_knot(count, found, most)
-        looks = look_at(positions_looked_at(count, every))
-        return align_poses(looks, body, every, registered=registered, frames=data.train_indices)
+        knots = settings.optim.pose_knots
+        return align_sequence(look_at, data.train_indices, body, knots, registered=registered)
 
     is_off = settings.registration == "off"
     alignment = align(registered=is_off) if is_alignment_asked(settings) else None
