@@ -15,18 +15,20 @@ from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human import Avatar, Body, PoseSpline, embedded_body, load_avatar, save_avatar
-from occfusion.observation import pose_alignment
+from occfusion.observation import aligner as aligner_module
+from occfusion.observation import sequence_alignment
+from occfusion.observation.aligner import Aligner, spline_weights
+from occfusion.observation.aligner import align_poses as align_with
 from occfusion.observation.knot_spacing import frames_a_knot, likely_spacing, window
 from occfusion.observation.outline_system import OutlineSystem
-from occfusion.observation.pose_alignment import (
-    GROUPS,
-    Aligner,
-    align_poses,
-    aligned_pose,
-    positions_looked_at,
-    spline_weights,
-)
+from occfusion.observation.pose_alignment import GROUPS, WORTH, Alignment, aligned_pose
 from occfusion.observation.pose_witness import Look, Witness, _Figure, _spread, misfits, observe_outline
+from occfusion.observation.sequence_alignment import (
+    align_sequence,
+    pieces,
+    pilot_positions,
+    positions_looked_at,
+)
 from occfusion.synth.disturb import move_edge
 from occfusion.types import Camera, Frame, Pose
 
@@ -115,8 +117,8 @@ def test_derivatives_are_those_of_the_body(whole_body: Body) -> None:
     """Central differences of the body's own forward pass, in float64, by turns from the right, place and shape."""
     body = embedded_body(torch.float64)
     pose = motion(7)
-    turns, shift = 0.05 * torch.randn(24, 3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
-    figure = _Figure(body, pose, turns, shift)
+    turns = 0.05 * torch.randn(24, 3, dtype=torch.float64)
+    figure = _Figure(body, pose, turns.numpy(), np.zeros(3))
     chosen = np.arange(0, body.num_vertices, 97)
     axes = [figure.derivatives(chosen, np.tile(axis, (len(chosen), 1))) for axis in np.eye(3)]
     by_turns, by_shape = (np.stack(parts, axis=-1) for parts in zip(*axes, strict=True))
@@ -204,8 +206,10 @@ def test_the_system_is_solved_as_stacked_least_squares(
     every: int, whole_body: Body, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Against rows one below the other with the prior as further rows, by a solver for such; and the variances."""
-    monkeypatch.setattr(pose_alignment, "PATCHES", 12)
-    aligner = Aligner(looks(whole_body, motion, wrong(0.03))[:12], whole_body, every)
+    monkeypatch.setattr(aligner_module, "PATCHES", 12)
+    aligner = Aligner(
+        looks(whole_body, motion, wrong(0.03))[:12], whole_body, PoseSpline.over(range(12), every)
+    )
     seen = [
         (k, w)
         for k, look in enumerate(aligner._looks)
@@ -229,14 +233,26 @@ def test_the_system_is_solved_as_stacked_least_squares(
     targets = np.concatenate([np.concatenate([w.offsets for _, w in seen]) * root, np.zeros(len(precision))])
     wanted = np.linalg.lstsq(stacked, targets, rcond=None)[0]
     np.testing.assert_allclose(solution, wanted, atol=1e-6 * np.abs(wanted).max())
-    inverse = np.linalg.inv(stacked.T @ stacked)
-    np.testing.assert_allclose(variance, np.diag(inverse), rtol=1e-5)
+    hessian = stacked.T @ stacked
+    np.testing.assert_allclose(variance, np.diag(np.linalg.inv(hessian)), rtol=1e-5)
+    # with what follows the knots known to be what was found, the knots are the same, and surer
+    known = OutlineSystem(
+        seen, aligner._weights, aligner._patch, aligner.values, True, solution[system.count :]
+    )
+    known.weigh_as(system)
+    knots, own = known.solve_with_variance(precision[: system.count])
+    np.testing.assert_allclose(knots, solution[: system.count], atol=1e-6 * np.abs(wanted).max())
+    inverse = np.linalg.inv(hessian[: system.count, : system.count])
+    np.testing.assert_allclose(own, np.diag(inverse), rtol=1e-5)
+    known.settle(knots)
+    system.settle(solution)
+    np.testing.assert_allclose(known._residual, system._residual, atol=1e-6)
 
 
 def test_evidence_is_how_likely_what_is_seen_is(whole_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two priors' difference, against the densities of what both say of the outlines together, as a dense normal."""
-    monkeypatch.setattr(pose_alignment, "PATCHES", 6)
-    aligner = Aligner(looks(whole_body, motion, wrong(0.03))[:4], whole_body, 2)
+    monkeypatch.setattr(aligner_module, "PATCHES", 6)
+    aligner = Aligner(looks(whole_body, motion, wrong(0.03))[:4], whole_body, PoseSpline.over(range(4), 2))
     seen = [(k, witness.only(slice(None, None, 9))) for k, witness in aligner.observe(range(4), 0.08)]
     system = OutlineSystem(seen, aligner._weights, aligner._patch, aligner.values, False)
     system.weigh()
@@ -290,13 +306,13 @@ def test_values_are_those_of_the_nearest_pixel() -> None:
     assert not _spread(values, np.zeros_like(where)).any()
 
 
-def aligned(
-    body: Body, found: list[Look], every: int | None = None
-) -> tuple[pose_alignment.Alignment, list[Pose]]:
-    if every is None:
-        every = frames_a_knot(len(found), likely_spacing([found[k] for k in window(len(found))], body, 4), 4)
-    looked_at = [found[k] for k in positions_looked_at(len(found), every)]
-    alignment = align_poses(looked_at, body, every, frames=[look.index for look in found])
+def align_poses(found: list[Look], body: Body, every: int) -> Alignment | None:
+    return align_with(found, body, PoseSpline.over([look.index for look in found], every))
+
+
+def aligned(body: Body, found: list[Look]) -> tuple[Alignment, list[Pose]]:
+    frames = [look.index for look in found]
+    alignment = align_sequence(lambda k: found[k], frames, body, 4, registered=False)
     assert alignment is not None
     spline = alignment.spline()
     return alignment, [aligned_pose(look.pose, spline, body) for look in found]
@@ -348,7 +364,7 @@ def test_masks_whose_edges_wander_are_told_from_poses(whole_body: Body, spread: 
     given = wrong(spread, 0.3 * spread) if spread else motion
     found = align_poses(wander(looks(whole_body, given, motion), pixels), whole_body, 4)
     assert found is not None and found.is_taken == bool(spread)
-    assert found.gain > 1.2 * pose_alignment.WORTH if spread else found.gain < 0.3 * pose_alignment.WORTH
+    assert found.gain > 1.2 * WORTH if spread else found.gain < 0.3 * WORTH
 
 
 def test_another_build_is_not_taken_for_poses(whole_body: Body) -> None:
@@ -430,23 +446,48 @@ def test_an_aligned_spline_survives_its_file(body: Body, tmp_path) -> None:  # t
 def test_of_a_long_sequence_a_part_is_looked_at_and_all_is_put_right(
     whole_body: Body, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pose_alignment, "LEAST_LOOKS", 8)
-    seen: list[int] = []
-
-    def watched(body: Body, look: Look, *rest: object) -> Witness | None:
-        seen.append(look.index)
-        return observe_outline(body, look, *rest)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(pose_alignment, "observe_outline", watched)
+    """A pilot tells what is alike, pieces the rest; it ends where one system of all equations does."""
     found = looks(whole_body, wrong(0.03), motion)
-    alignment, poses = aligned(whole_body, found, every=4)
-    assert len(set(seen)) == 16 and {0, FRAMES - 1} <= set(seen)
-    assert alignment.first == 0 and alignment.spacing * (len(alignment.turns) - 3) == pytest.approx(
-        FRAMES - 1
-    )
     before, _ = off(whole_body, [look.pose for look in found], motion)
+    _, at_once = aligned(whole_body, found)
+    for name, value in {"ONE_SYSTEM": 8, "PILOT": 12, "BLOCK": 6, "PIECE": 4}.items():
+        monkeypatch.setattr(sequence_alignment, name, value)
+    asked: list[int] = []
+
+    def look_at(position: int) -> Look:
+        asked.append(position)
+        return found[position]
+
+    monkeypatch.setattr(sequence_alignment, "likely_spacing", lambda *_, **__: 4)
+    alignment = align_sequence(look_at, range(FRAMES), whole_body, 4, registered=False)
+    assert alignment is not None and alignment.is_taken
+    assert set(asked[FRAMES:]) <= set(positions_looked_at(FRAMES, 4)) and {0, FRAMES - 1} <= set(asked)
+    assert alignment.first == 0
+    assert alignment.spacing * (len(alignment.turns) - 3) == pytest.approx(FRAMES - 1)
+    spline = alignment.spline()
+    poses = [aligned_pose(look.pose, spline, whole_body) for look in found]
     across, _ = off(whole_body, poses, motion)
     assert across < 0.7 * before
+    assert across < 1.6 * off(whole_body, at_once, motion)[0]
+    exact = looks(whole_body, motion, motion)
+    nothing = align_sequence(lambda k: exact[k], range(FRAMES), whole_body, 4, registered=False)
+    assert nothing is not None and not nothing.is_taken and not nothing.turns.any()
+
+
+def test_pieces_have_each_knot_once_and_all_frames_that_know_it() -> None:
+    frames = list(range(0, 3000, 4))
+    spline = PoseSpline.over(range(3000), 8)
+    parts = list(pieces(spline, frames))
+    assert [k for own, _ in parts for k in own] == list(range(spline.knots))
+    for own, near in parts:
+        knowing = {
+            k for k, frame in enumerate(frames) if spline_weights(spline, frame)[own.start : own.stop].any()
+        }
+        assert knowing <= set(near) and near == sorted(near)
+        assert len(near) < 2.2 * sequence_alignment.PIECE + 20
+    chosen = pilot_positions(len(frames))
+    assert chosen == sorted(set(chosen)) and len(chosen) == sequence_alignment.PILOT
+    assert chosen[0] == 0 and chosen[-1] == len(frames) - 1
 
 
 def test_a_part_of_an_outline_has_all_of_each_of_its_points(whole_body: Body) -> None:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import os
 from collections.abc import Iterator
+
+OPENCV_THREADS = "OPENCV_FOR_THREADS_NUM"
+"""Of the environment: threads of OpenCV, which reads it when it is loaded."""
 
 
 @contextlib.contextmanager
@@ -12,8 +16,10 @@ def loading() -> Iterator[None]:
     """Lets modules be imported without a search for garbage, of which they leave none.
 
     The searches take a quarter of the time that `import torch` takes, and as long again when the program ends. What is
-    there afterwards is not searched again.
+    there afterwards is not searched again. OpenCV gets one thread: pictures are the size of a person, and its second
+    waits for work at the cost of a third of all that observing a video takes.
     """
+    os.environ.setdefault(OPENCV_THREADS, "1")
     was_on = gc.isenabled()
     gc.disable()
     try:

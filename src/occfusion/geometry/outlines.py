@@ -6,6 +6,7 @@ edge. What sampling and blurring do to an edge, they do to both, and it drops ou
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -90,19 +91,22 @@ def _blurred(mask: NDArray[np.generic]) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), BLUR))
 
 
-def _sampled(image: NDArray[np.float32], points: Floats) -> Floats:
-    """Returns the image at points `[..., 2]` between pixel centres, bilinearly."""
-    places = points.reshape(len(points), -1, 2).astype(np.float32) - np.float32(0.5)
+def _sampled(
+    image: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Returns the image at places `[N, M]` between pixel centres, pixels, bilinearly."""
+    parts = max(1, math.ceil(len(x) / MOST_ROWS))
     rows = [
-        cv2.remap(image, part[..., 0], part[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for part in np.array_split(places, len(places) // MOST_ROWS + 1)
+        np.asarray(cv2.remap(image, *part, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        for part in zip(np.array_split(x, parts), np.array_split(y, parts), strict=True)
     ]
-    return np.concatenate(rows).astype(np.float64).reshape(points.shape[:-1])
+    return rows[0] if parts == 1 else np.concatenate(rows)
 
 
 def _gradient(image: NDArray[np.float32], points: Floats) -> Floats:
-    parts = [cv2.Sobel(image, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1))]
-    return np.stack([_sampled(np.asarray(part), points) for part in parts], axis=-1)
+    x, y = (points.T[..., None] - 0.5).astype(np.float32)
+    parts = [np.asarray(cv2.Sobel(image, cv2.CV_32F, *order, ksize=3)) for order in ((1, 0), (0, 1))]
+    return np.concatenate([_sampled(part, x, y) for part in parts], axis=1).astype(np.float64)
 
 
 def _crossings(
@@ -117,11 +121,14 @@ def _crossings(
         distances: sampled, ascending.
         near: the crossing nearest to this is taken, `[N]`.
     """
-    profile = _sampled(image, points[:, None] + normals[:, None] * distances[None, :, None])
-    left, right = profile[:, :-1], profile[:, 1:]
-    falls = (left >= 0.5) & (right < 0.5)
-    places = distances[:-1] + STEP * (left - 0.5) / np.maximum(left - right, 1e-9)
-    away = np.where(falls, np.abs(places - near[:, None]), np.inf)
-    best = away.argmin(axis=1)
-    rows = np.arange(len(points))
-    return np.where(np.isfinite(away[rows, best]), places[rows, best], np.nan)
+    starts, steps = ((part.T[..., None]).astype(np.float32) for part in (points - 0.5, normals))
+    profile = _sampled(image, *(starts + steps * distances.astype(np.float32)))
+    row, step = np.nonzero((profile[:, :-1] >= 0.5) & (profile[:, 1:] < 0.5))
+    left, right = (profile[row, at].astype(np.float64) for at in (step, step + 1))
+    places = distances[step] + STEP * (left - 0.5) / np.maximum(left - right, 1e-9)
+    order = np.lexsort((np.abs(places - near[row]), row))  # the nearest of each point first
+    row, places = row[order], places[order]
+    is_first = np.diff(row, prepend=-1) > 0
+    out = np.full(len(points), np.nan)
+    out[row[is_first]] = places[is_first]
+    return out

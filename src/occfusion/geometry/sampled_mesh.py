@@ -80,7 +80,8 @@ def box_of(pixels: NDArray[np.floating], width: int, height: int) -> Box:
         finite = pixels[np.isfinite(pixels).all(axis=1)]
     if not len(finite):
         return 0, 0, 1, 1
-    least, most = (np.clip(end, 0.0, [width, height]) for end in (finite.min(axis=0), finite.max(axis=0)))
+    columns = np.ascontiguousarray(finite.T)  # NumPy takes the least of short rows one by one
+    least, most = (np.clip(end, 0.0, [width, height]) for end in (columns.min(axis=1), columns.max(axis=1)))
     low = np.minimum(np.floor(least), [width - 1, height - 1]).astype(int)
     high = np.maximum(np.ceil(most).astype(int), low + 1)
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])

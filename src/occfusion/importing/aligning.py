@@ -11,9 +11,9 @@ from occfusion.fitting.pipeline import Fit
 from occfusion.fitting.quality import measure
 from occfusion.human import Body
 from occfusion.importing.sources import Sources
-from occfusion.observation.knot_spacing import align_sequence
 from occfusion.observation.pose_alignment import aligned_pose
 from occfusion.observation.pose_witness import Look
+from occfusion.observation.sequence_alignment import align_sequence
 from occfusion.types import Camera, Pose
 
 KNOTS = 4

@@ -1,18 +1,13 @@
-"""Alignment of a whole sequence: how far apart knots of the corrections lie, and which frames are looked at."""
+"""How far apart knots of the corrections of poses lie."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from occfusion.human.body import Body
-from occfusion.observation.pose_alignment import (
-    LEAST_FRAMES,
-    Aligner,
-    Alignment,
-    align_poses,
-    positions_looked_at,
-)
+from occfusion.human.pose_spline import PoseSpline
+from occfusion.observation.aligner import LEAST_FRAMES, Aligner
 from occfusion.observation.pose_witness import REACH, Look
 
 WINDOW = 50
@@ -45,7 +40,10 @@ def likely_spacing(looks: Sequence[Look], body: Body, most: int, *, registered: 
     asked = sorted({max(1, most // part) for part in (1, 2, 4)})
     if len(looks) < LEAST_FRAMES or len(asked) == 1:
         return most
-    aligners = {every: Aligner(looks, body, every, registered=registered) for every in asked}
+    frames = [look.index for look in looks]
+    aligners = {
+        every: Aligner(looks, body, PoseSpline.over(frames, every), registered=registered) for every in asked
+    }
     seen = aligners[asked[0]].observe(range(len(looks)), 2.0 * REACH)
     if len(seen) < LEAST_FRAMES:
         return most
@@ -65,22 +63,3 @@ def frames_a_knot(count: int, found: int, most: int) -> int:
     """
     least = math.ceil(count / MOST_KNOTS)
     return max(found, least) if found < most else max(most, min(WIDEST, math.ceil(count / FULL_KNOTS)), least)
-
-
-def align_sequence(
-    look_at: Callable[[int], Look], frames: Sequence[int], body: Body, most: int, *, registered: bool
-) -> Alignment | None:
-    """Returns what outlines say of the poses of a sequence; None where they tell too little.
-
-    Args:
-        look_at: gives the look at a frame by its position.
-        frames: numbers of the frames, ascending.
-        body: of their poses.
-        most: frames from one knot to the next, at most, but for long sequences.
-        registered: shift and scale of the pictures are known.
-    """
-    count = len(frames)
-    found = likely_spacing([look_at(k) for k in window(count)], body, most, registered=registered)
-    every = frames_a_knot(count, found, most)
-    looks = [look_at(k) for k in positions_looked_at(count, every)]
-    return align_poses(looks, body, every, registered=registered, frames=frames)

@@ -44,6 +44,8 @@ class OutlineSystem:
         patch: place of each vertex, `[V]`.
         values: of the knots, that outlines were looked for at, `[K, POSE_COLUMNS]`.
         registered: shift and scale are known.
+        known: the unknowns that follow the knots, where a part of the sequence has told them already; they are none of
+            this system then.
 
     Attributes:
         count: unknowns of the knots.
@@ -62,6 +64,7 @@ class OutlineSystem:
         patch: Ints,
         values: Floats,
         registered: bool,
+        known: Floats | None = None,
     ) -> None:
         self._seen, self._spline_weights, self._patch = seen, weights, patch
         self.knots = len(values)
@@ -81,11 +84,16 @@ class OutlineSystem:
                 np.full(patches, STANDS_OFF**-2.0),
             ]
         )
-        self._extra = len(self.fixed_precision)
         # what outlines would say of the poses as given
         self._targets = self.offsets.copy()
         for n, (k, w) in enumerate(seen):
-            self._targets[self._ends[n] : self._ends[n + 1]] += w.turns @ (weights[k] @ values)
+            own = self._targets[self._ends[n] : self._ends[n + 1]]
+            own += w.turns @ (weights[k] @ values)
+            if known is not None:
+                own -= self._alike_part(w, known)
+        if known is not None:
+            self.fixed_precision = self.fixed_precision[:0]
+        self._extra = len(self.fixed_precision)
         self._residual = self.offsets - np.median(self.offsets)
         self.noise = NOISE
         self.row_weights = np.ones(len(self.offsets))
@@ -127,10 +135,14 @@ class OutlineSystem:
         values, extra = solution[: self.count].reshape(self.knots, -1), solution[self.count :]
         parts = []
         for k, w in self._seen:
-            few = _few(w)
-            alike = few @ extra[: few.shape[1]] + w.per_metre * extra[few.shape[1] + self._patch[w.vertices]]
-            parts.append(w.turns @ (self._spline_weights[k] @ values) + alike)
+            part = w.turns @ (self._spline_weights[k] @ values)
+            parts.append(part + self._alike_part(w, extra) if self._extra else part)
         return np.concatenate(parts)
+
+    def _alike_part(self, w: Witness, extra: Floats) -> Floats:
+        """Returns what the unknowns that follow the knots give at the points of a frame, pixels."""
+        few = _few(w)
+        return few @ extra[: few.shape[1]] + w.per_metre * extra[few.shape[1] + self._patch[w.vertices]]
 
     def _assemble(self) -> None:
         """Forms the normal equations; each row knows one place alone of those that stand off.
@@ -146,29 +158,35 @@ class OutlineSystem:
         diagonal = np.zeros(patches)
         for n, (k, w) in enumerate(self._seen):
             own = slice(self._ends[n], self._ends[n + 1])
-            rows, place = np.concatenate([w.turns, _few(w)], axis=1), self._patch[w.vertices]
+            rows = np.concatenate([w.turns, _few(w)], axis=1) if self._extra else w.turns
             weighted = rows * self.row_weights[own, None]
             block, part = weighted.T @ rows, weighted.T @ self._targets[own]
+            active = np.flatnonzero(self._spline_weights[k])
+            for a in active:
+                wa = self._spline_weights[k, a]
+                right[a * size : (a + 1) * size] += wa * part[:size]
+                for b in active[active >= a]:
+                    near[a, b - a] += wa * self._spline_weights[k, b] * block[:size, :size]
+            if not self._extra:
+                continue
+            place = self._patch[w.vertices]
             by_place = (
                 csr_array((w.per_metre, (place, np.arange(len(place)))), shape=(patches, len(place)))
                 @ weighted
             )
             pull = self.row_weights[own] * w.per_metre
-            active = np.flatnonzero(self._spline_weights[k])
             for a in active:
                 wa = self._spline_weights[k, a]
-                right[a * size : (a + 1) * size] += wa * part[:size]
                 border[a, :, few] += wa * block[:size, size:]
                 border[a, :, places] += wa * by_place[:, :size].T
-                for b in active[active >= a]:
-                    near[a, b - a] += wa * self._spline_weights[k, b] * block[:size, :size]
             corner[few, few] += block[size:, size:]
             corner[few, places] += by_place[:, size:].T
             diagonal += np.bincount(place, pull * w.per_metre, patches)
             extra[few] += part[size:]
             extra[places] += np.bincount(place, pull * self._targets[own], patches)
-        corner[places, places] = np.diag(diagonal)
-        corner[places, few] = corner[few, places].T
+        if self._extra:
+            corner[places, places] = np.diag(diagonal)
+            corner[places, few] = corner[few, places].T
         self._near, self._border, self._corner, self._right = near, border, corner, right
 
     def solve(self, precision: Floats) -> Floats:
@@ -204,7 +222,7 @@ class OutlineSystem:
         groups = [range(a, min(a + COUPLED - 1, self.knots)) for a in range(0, self.knots, COUPLED - 1)]
         for own, following in pairwise([*groups, range(0)]):
             diagonal.append(_joined(near, own, own) + np.eye(len(own) * POSE_COLUMNS))
-            edges.append(border[own.start : own.stop].reshape(-1, len(extra)))
+            edges.append(border[own.start : own.stop].reshape(len(own) * POSE_COLUMNS, len(extra)))
             if following:
                 below.append(_joined(near, following, own))
         corner = self._corner * extra[:, None] * extra + np.eye(len(extra))

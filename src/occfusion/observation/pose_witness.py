@@ -6,20 +6,21 @@ outline by less than they can be told.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from occfusion.files.bodyfile import NUM_JOINTS
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.outlines import outline_offsets
-from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.geometry.sampled_mesh import SampledMesh, box_of
-from occfusion.geometry.skinning import bone_transforms
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
 from occfusion.observation.evidence import person_size
@@ -35,6 +36,8 @@ REACH = 0.04
 LARGEST = 512
 """Pixels, the longer side of masks that are looked at. There, outlines are known to hundredths of a pixel, and bodies
 fit them to tenths."""
+ROOM = 8
+"""Pixels beyond the reach about the body: what a blurred edge there is made of."""
 OCCLUDER = 0.02
 """Of the person's size: half the width from which on what is missing of the body is hidden rather than misplaced. A leg
 is 0.07 wide, an arm 0.05."""
@@ -117,28 +120,31 @@ def observe_outline(
         correction: turns multiplied from the right, axis-angles `[24, 3]`, and a shift `[3]`, metres.
         reach: farthest offset that is looked for, of the person's size.
     """
-    pose, camera, seen = look.pose, look.camera, look.seen
-    turns, shift = (torch.from_numpy(part).double() for part in correction)
-    figure = _Figure(body, pose, turns, shift)
-    viewmat, K = (part.double().cpu().numpy() for part in (camera.viewmat, camera.K))
+    figure = _Figure(body, look.pose, *correction)
+    viewmat, K = (part.double().cpu().numpy() for part in (look.camera.viewmat, look.camera.K))
     pixels, depth = project_vertices(figure.vertices, viewmat, K)
-    faces = body.faces.cpu().numpy()
-    height, width = seen.shape
+    faces = _Arrays(body).faces
+    height, width = look.seen.shape
     x, y, w, h = box = box_of(pixels, width, height)
     drawn = SampledMesh.draw(pixels, depth, faces, box)
-    coverage = np.zeros(seen.shape, np.float32)
-    coverage[y : y + h, x : x + w] = drawn.coverage
-    size = person_size(coverage > 0.5)
-    if size < 8.0 or not seen.any():
+    size = person_size(drawn.coverage > 0.5)
+    if size < 8.0:
         return None
-    found = outline_offsets(coverage, seen, max(reach * size, 3.0))
+    farthest = max(reach * size, 3.0)
+    # what lies farther from the body says nothing of its outline
+    room = math.ceil(farthest) + ROOM
+    left, top = max(0, x - room), max(0, y - room)
+    seen = look.seen[top : y + h + room, left : x + w + room]
+    coverage = np.zeros(seen.shape, np.float32)
+    coverage[y - top : y - top + h, x - left : x - left + w] = drawn.coverage
+    found = outline_offsets(coverage, seen, farthest)
     ends = found.points + found.normals * (found.offsets[:, None] + 1.5)
-    column, row = np.clip(ends.astype(int), 0, [width - 1, height - 1]).T
+    column, row = np.clip(ends.astype(int), 0, [seen.shape[1] - 1, seen.shape[0] - 1]).T
     kept = ~_hidden(coverage > 0.5, seen, size)[row, column]
     if kept.sum() < 10:
         return None
-    vertices = faces[drawn.face_at(found.pixels[kept] - [y, x]), 0]
-    normals, points = found.normals[kept], found.points[kept]
+    vertices = faces[drawn.face_at(found.pixels[kept] - [y - top, x - left]), 0]
+    normals, points = found.normals[kept], found.points[kept] + [left, top]
     per_metre = K[0, 0] / depth[vertices]
     # the derivative of a projected point by its place in the world, along the normal
     inwards = ((points - K[:2, 2]) * normals).sum(axis=1) / K[0, 0]
@@ -158,7 +164,7 @@ def observe_outline(
 
 @torch.no_grad()
 def misfits(
-    body: Body, look: Look, corrections: Sequence[tuple[Floats, ...]], places: NDArray[np.bool_]
+    body: Body, look: Look, corrections: Sequence[tuple[Floats, Floats]], places: NDArray[np.bool_]
 ) -> Floats:
     """Returns how far the body and the mask of a frame differ under corrections of the pose, of the body's pixels.
 
@@ -173,10 +179,9 @@ def misfits(
     """
     found, area = [], 1
     counted = np.zeros_like(look.seen)
-    faces = body.faces.cpu().numpy()
+    faces = _Arrays(body).faces
     for number, correction in enumerate(corrections):
-        turns, shift = (torch.from_numpy(part).double() for part in correction)
-        figure = _Figure(body, look.pose, turns, shift)
+        figure = _Figure(body, look.pose, *correction)
         viewmat, K = (part.double().cpu().numpy() for part in (look.camera.viewmat, look.camera.K))
         pixels, depth = project_vertices(figure.vertices, viewmat, K)
         height, width = look.seen.shape
@@ -210,23 +215,49 @@ def _hidden(body: Mask, seen: Mask, size: float) -> Mask:
     return cv2.dilate(np.asarray(core), disk).astype(bool)
 
 
+@lru_cache(2)
+class _Arrays:
+    """A body's numbers in float64: asked for each frame of a sequence, several times."""
+
+    def __init__(self, body: Body) -> None:
+        self.weights, self.template, self.joints, self.directions, self.joint_directions = (
+            part.double().cpu().numpy()
+            for part in (body.weights, body.v_template, body.joint_template, body.shapedirs, body.joint_dirs)
+        )
+        self.faces = np.ascontiguousarray(body.faces.cpu().numpy(), np.int32)
+        self._rest: tuple[bytes, Floats, Floats] | None = None
+
+    def rest(self, betas: Floats) -> tuple[Floats, Floats]:
+        """Returns vertices and joints of a shape; that of the last call, which is that of the sequence, is kept."""
+        key = betas.tobytes()
+        if self._rest is None or self._rest[0] != key:
+            vertices = self.template + self.directions[..., : len(betas)] @ betas
+            joints = self.joints + self.joint_directions[..., : len(betas)] @ betas
+            self._rest = key, vertices, joints
+        return self._rest[1:]
+
+
 class _Figure:
     """A posed body, and how its vertices move with turns, place and shape. All in float64."""
 
-    def __init__(self, body: Body, pose: Pose, turns: torch.Tensor, shift: torch.Tensor) -> None:
-        self._body = body
-        rotations = body.rotations(pose.global_orient, pose.body_pose).double().cpu()
-        rotations = rotations @ axis_angle_to_matrix(turns)
-        rest = body.rest(pose.betas)
-        self._rest, self._joints = (part.double().cpu().numpy() for part in (rest.vertices, rest.joints))
-        transforms = bone_transforms(rotations, torch.from_numpy(self._joints), body.parents)
-        self._turns = transforms[:, :3, :3].numpy()
-        self._shifts = transforms[:, :3, 3].numpy()
-        self._weights = body.weights.double().cpu().numpy()
-        self._place = pose.transl.double().cpu().numpy() + shift.numpy()
-        points = self._rest + body.pose_offsets(rotations.to(body.v_template)).double().cpu().numpy()
-        linear = (self._weights @ self._turns.reshape(NUM_JOINTS, 9)).reshape(-1, 3, 3)
-        self.vertices = np.einsum("vij,vj->vi", linear, points) + self._weights @ self._shifts + self._place
+    def __init__(self, body: Body, pose: Pose, turns: Floats, shift: Floats) -> None:
+        self._body, self._arrays = body, (arrays := _Arrays(body))
+        given = torch.cat([pose.global_orient.reshape(1, 3), pose.body_pose.reshape(-1, 3)])
+        rotations = (
+            Rotation.from_rotvec(given.double().cpu().numpy()) * Rotation.from_rotvec(turns)
+        ).as_matrix()
+        betas = body.check_betas(pose.betas).double().cpu().numpy()
+        points, self._joints = arrays.rest(betas)
+        self._rest = points
+        self._turns, self._shifts = _bones(rotations, self._joints, body.parents)
+        self._place = pose.transl.double().cpu().numpy() + shift
+        if body.posedirs is not None:
+            offsets = body.pose_offsets(torch.from_numpy(rotations).to(body.v_template))
+            points = points + offsets.double().cpu().numpy()
+        bones = np.concatenate([self._turns.reshape(NUM_JOINTS, 9), self._shifts], axis=1)
+        maps = arrays.weights @ bones
+        self.vertices = np.einsum("vij,vj->vi", maps[:, :9].reshape(-1, 3, 3), points)
+        self.vertices += maps[:, 9:] + self._place
 
     def derivatives(self, chosen: NDArray[np.int64], along: Floats) -> tuple[Floats, Floats]:
         """Returns how far vertices move along directions with each turn `[N, 72]` and each shape component `[N, B]`.
@@ -235,28 +266,26 @@ class _Figure:
             chosen: vertices, `[N]`.
             along: the direction of each, `[N, 3]`.
         """
-        weights, rest = self._weights[chosen], self._rest[chosen]
+        weights, rest = self._arrays.weights[chosen], self._rest[chosen]
         parents = self._body.parents
         # where each bone alone would have the vertices, less the joint it turns about, summed over what hangs on it
-        places = rest @ np.swapaxes(self._turns, 1, 2) + self._shifts[:, None]
         share = weights.T.copy()
-        weighted = share[..., None] * places
+        arms = share[:, None] * (self._turns @ rest.T + self._shifts[..., None])
         for joint in range(NUM_JOINTS - 1, 0, -1):
-            weighted[parents[joint]] += weighted[joint]
+            arms[parents[joint]] += arms[joint]
             share[parents[joint]] += share[joint]
         joints = np.einsum("kij,kj->ki", self._turns, self._joints) + self._shifts
-        x, y, z = np.moveaxis(weighted - share[..., None] * joints[:, None], 2, 0)
+        arms -= share[:, None] * joints[..., None]
         # a turn multiplied from the right turns about an axis of the joint as it stands, and
         # direction . (axis x arm) = axis . (arm x direction)
-        u, v, w = along.T
-        moments = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=2)
-        by_turns = np.swapaxes(moments @ self._turns, 0, 1).reshape(len(chosen), -1)
+        (x, y, z), (u, v, w) = np.swapaxes(arms, 0, 1), along.T
+        moments = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+        by_turns = (np.swapaxes(self._turns, 1, 2) @ moments).reshape(-1, len(chosen)).T
         return by_turns, np.einsum("nc,nbc->nb", along, self._by_shape(weights, chosen))
 
     def _by_shape(self, weights: Floats, chosen: NDArray[np.int64]) -> Floats:
         body = self._body
-        directions = body.shapedirs[torch.from_numpy(chosen)].double().cpu().numpy()
-        joint_dirs = body.joint_dirs.double().cpu().numpy()
+        directions, joint_dirs = self._arrays.directions[chosen], self._arrays.joint_directions
         # places of joints are linear in joints at rest; the root stays where it is at rest
         moved = np.empty_like(joint_dirs)
         moved[0] = joint_dirs[0]
@@ -267,3 +296,13 @@ class _Figure:
         linear = (weights @ self._turns.reshape(NUM_JOINTS, 9)).reshape(-1, 3, 3)
         out = np.einsum("nij,njb->nib", linear, directions) + np.einsum("nk,kib->nib", weights, shifts)
         return np.swapaxes(out, 1, 2)
+
+
+def _bones(rotations: Floats, joints: Floats, parents: Sequence[int]) -> tuple[Floats, Floats]:
+    """Returns the motion of each bone from rest to posed: turns `[24, 3, 3]` and shifts `[24, 3]`."""
+    turns, places = rotations.copy(), joints.copy()
+    for joint in range(1, len(parents)):
+        parent = parents[joint]
+        turns[joint] = turns[parent] @ rotations[joint]
+        places[joint] = places[parent] + turns[parent] @ (joints[joint] - joints[parent])
+    return turns, places - (turns @ joints[..., None])[..., 0]

@@ -24,10 +24,10 @@ from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.inpaint.completion_net import check_completion_net
 from occfusion.observation.frames import ObservedFrame, observe_frames
-from occfusion.observation.knot_spacing import align_sequence
 from occfusion.observation.light import Light, observe_light
 from occfusion.observation.pose_alignment import Alignment, aligned_pose
 from occfusion.observation.pose_witness import Look
+from occfusion.observation.sequence_alignment import align_sequence
 from occfusion.perceptual import load_perceptual, training_dtype
 from occfusion.plan.decisions import is_alignment_asked, may_leave_out_networks
 from occfusion.plan.hidden import with_everything
