@@ -252,7 +252,7 @@ class HumanDataModule(L.LightningDataModule):
         def share() -> tuple[int, int]:
             return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
 
-        return DataLoader(StepStream(read, sampler, first_step, share), batch_size=None)
+        return DataLoader(StepStream(read, sampler, first_step, share, views.is_kept), batch_size=None)
 
     def test_dataloader(self) -> Iterator[Frame]:
         """Returns the held-out views that show a person, one at a time."""

@@ -65,6 +65,10 @@ class BoundedCache(Generic[T]):
         """Number of items kept."""
         return len(self._kept)
 
+    def __contains__(self, key: object) -> bool:
+        """Returns whether something is kept under a key."""
+        return key in self._kept
+
 
 MOST_CACHED = 1000
 """Decoded frames: of more, a stage sees each about once, and reading it again costs less than keeping it."""
@@ -113,6 +117,10 @@ class Views:
             made = _evened(made, self.gains[position])
         path = self.complete_masks(frame) if self.complete_masks is not None and complete else None
         return made if path is None else replace(made, complete_mask=self._complete_mask(path, packed.size))
+
+    def is_kept(self, position: int) -> bool:
+        """Returns whether the training frame at a position is decoded already, so that it takes next to nothing."""
+        return position in self._cache
 
     def _complete_mask(self, path: Path, size: tuple[int, int]) -> Tensor:
         width, height = size

@@ -34,6 +34,13 @@ class Stage(L.LightningModule):
         self.frame: Frame | None = None
         self._terms: dict[str, Tensor] = {}
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Sets an attribute; names of hooks, which Lightning notes forty times a step, by the short way."""
+        if name == "_current_fx_name":
+            object.__setattr__(self, name, value)  # a module looks for parameters first
+        else:
+            super().__setattr__(name, value)
+
     def on_train_start(self) -> None:
         """Starts the training clock."""
         self.clock.start()
