@@ -225,13 +225,11 @@ class Aligner:
         if not self.before:
             self.before = 1.4826 * float(np.median(np.abs(system.offsets)))
         self._weigh(system)
+        solution, variance = self._find_spreads(system)
         if known is None:
-            solution, variance = self._find_spreads(system)
             few = slice(self._count, self._count + 3)
             as_place = self.spreads[-1] * system.per_metre * np.array([1.0, 1.0, 1.0 / system.focal])
             self._picture = solution[few], np.sqrt(variance[few] + as_place**2)
-        else:
-            solution, variance = system.solve_with_variance(self._precision(system))
         self.values = solution[: self._count].reshape(self._knots, POSE_COLUMNS)
         self._unknowns = solution[self._count :]
         self._variance, self.noise = variance[: self._count], system.noise

@@ -22,7 +22,7 @@ from occfusion.observation.pose_witness import Look
 
 ONE_SYSTEM = 240
 """Frames that are looked at, and a sequence with more is aligned piece by piece."""
-PILOT, BLOCK = 96, 16
+PILOT, BLOCK = 96, 8
 """Looks of the parts that tell what is alike, and of one of them."""
 PIECE, OVERLAP = 64, 4
 """Knots of a piece, and those beyond either end that are found with it and not taken."""
