@@ -235,18 +235,23 @@ def test_the_system_is_solved_as_stacked_least_squares(
     np.testing.assert_allclose(solution, wanted, atol=1e-6 * np.abs(wanted).max())
     hessian = stacked.T @ stacked
     np.testing.assert_allclose(variance, np.diag(np.linalg.inv(hessian)), rtol=1e-5)
-    # with what follows the knots known to be what was found, the knots are the same, and surer
-    known = OutlineSystem(
-        seen, aligner._weights, aligner._patch, aligner.values, True, solution[system.count :]
-    )
-    known.weigh_as(system)
-    knots, own = known.solve_with_variance(precision[: system.count])
-    np.testing.assert_allclose(knots, solution[: system.count], atol=1e-6 * np.abs(wanted).max())
-    inverse = np.linalg.inv(hessian[: system.count, : system.count])
-    np.testing.assert_allclose(own, np.diag(inverse), rtol=1e-5)
-    known.settle(knots)
-    system.settle(solution)
-    np.testing.assert_allclose(known._residual, system._residual, atol=1e-6)
+    # with what follows the knots expected to be what was found, knots are the same, and surer if that is certain
+    found = solution[system.count :]
+    for variances, matrix in (
+        (np.full_like(found, 1e-14), hessian[: system.count, : system.count]),
+        (None, hessian),
+    ):
+        loose = 1.0 / system.fixed_precision
+        expected = (
+            found if variances is not None else np.zeros_like(found),
+            loose if variances is None else variances,
+        )
+        other = OutlineSystem(seen, aligner._weights, aligner._patch, aligner.values, False, expected)
+        other.weigh_as(system)
+        own = np.concatenate([precision[: system.count], other.fixed_precision])
+        knots, spread = (part[: system.count] for part in other.solve_with_variance(own))
+        np.testing.assert_allclose(knots, solution[: system.count], atol=1e-6 * np.abs(wanted).max())
+        np.testing.assert_allclose(spread, np.diag(np.linalg.inv(matrix))[: system.count], rtol=1e-5)
 
 
 def test_evidence_is_how_likely_what_is_seen_is(whole_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:

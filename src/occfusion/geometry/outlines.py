@@ -97,7 +97,7 @@ def _sampled(
     """Returns the image at places `[N, M]` between pixel centres, pixels, bilinearly."""
     parts = max(1, math.ceil(len(x) / MOST_ROWS))
     rows = [
-        np.asarray(cv2.remap(image, *part, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        np.asarray(cv2.remap(image, *part, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
         for part in zip(np.array_split(x, parts), np.array_split(y, parts), strict=True)
     ]
     return rows[0] if parts == 1 else np.concatenate(rows)
@@ -105,7 +105,9 @@ def _sampled(
 
 def _gradient(image: NDArray[np.float32], points: Floats) -> Floats:
     x, y = (points.T[..., None] - 0.5).astype(np.float32)
-    parts = [np.asarray(cv2.Sobel(image, cv2.CV_32F, *order, ksize=3)) for order in ((1, 0), (0, 1))]
+    parts = [
+        np.asarray(cv2.Sobel(image, cv2.CV_32F, *order, ksize=3), np.float32) for order in ((1, 0), (0, 1))
+    ]
     return np.concatenate([_sampled(part, x, y) for part in parts], axis=1).astype(np.float64)
 
 

@@ -66,10 +66,12 @@ class Common:
     Attributes:
         spreads: of the corrections, one for each of `GROUPS` and one for the place.
         unknowns: of an `OutlineSystem`, those that follow the knots.
+        variances: of them.
     """
 
     spreads: Floats
     unknowns: Floats
+    variances: Floats
 
 
 class Aligner:
@@ -159,13 +161,13 @@ class Aligner:
         )
 
     def settle(self) -> bool:
-        """Finds the knots where all else is known; returns whether outlines tell enough."""
+        """Finds the knots, where other frames told what is alike; returns whether outlines tell enough."""
         return all(self._step(range(len(self._looks)), REACH, True) for _ in range(SETTLING))
 
     @property
     def common(self) -> Common:
         """What other frames of the sequence may take over."""
-        return Common(self.spreads, self._unknowns)
+        return Common(self.spreads, *self._alike)
 
     @property
     def told(self) -> Floats:
@@ -202,7 +204,8 @@ class Aligner:
         """
 
         def errors(k: int) -> Floats:
-            amounts = [tuple(a * part for part in self.correction(k)) for a in AMOUNTS]
+            turns, shift = self.correction(k)
+            amounts = [(amount * turns, amount * shift) for amount in AMOUNTS]
             return misfits(self._body, self._looks[k], amounts, self._left_out)
 
         misfit = np.mean(list(threaded_map(errors, positions, torch.get_num_threads())), axis=0)
@@ -220,18 +223,18 @@ class Aligner:
         seen = self.observe(positions, reach, kept)
         if len(seen) < min(LEAST_FRAMES, len(positions)):
             return False
-        known = None if self._common is None else self._common.unknowns
-        system = OutlineSystem(seen, self._weights, self._patch, self.values, registered, known)
+        told = self._common
+        expected = None if told is None else (told.unknowns, told.variances)
+        system = OutlineSystem(seen, self._weights, self._patch, self.values, registered, expected)
         if not self.before:
             self.before = 1.4826 * float(np.median(np.abs(system.offsets)))
         self._weigh(system)
         solution, variance = self._find_spreads(system)
-        if known is None:
-            few = slice(self._count, self._count + 3)
-            as_place = self.spreads[-1] * system.per_metre * np.array([1.0, 1.0, 1.0 / system.focal])
-            self._picture = solution[few], np.sqrt(variance[few] + as_place**2)
+        few = slice(self._count, self._count + 3)
+        as_place = self.spreads[-1] * system.per_metre * np.array([1.0, 1.0, 1.0 / system.focal])
+        self._picture = solution[few], np.sqrt(variance[few] + as_place**2)
         self.values = solution[: self._count].reshape(self._knots, POSE_COLUMNS)
-        self._unknowns = solution[self._count :]
+        self._alike = solution[self._count :], variance[self._count :]
         self._variance, self.noise = variance[: self._count], system.noise
         return True
 

@@ -44,8 +44,8 @@ class OutlineSystem:
         patch: place of each vertex, `[V]`.
         values: of the knots, that outlines were looked for at, `[K, POSE_COLUMNS]`.
         registered: shift and scale are known.
-        known: the unknowns that follow the knots, where a part of the sequence has told them already; they are none of
-            this system then.
+        expected: of the unknowns that follow the knots, what other frames told: means and variances. The system's own
+            are what they differ by.
 
     Attributes:
         count: unknowns of the knots.
@@ -64,7 +64,7 @@ class OutlineSystem:
         patch: Ints,
         values: Floats,
         registered: bool,
-        known: Floats | None = None,
+        expected: tuple[Floats, Floats] | None = None,
     ) -> None:
         self._seen, self._spline_weights, self._patch = seen, weights, patch
         self.knots = len(values)
@@ -84,16 +84,16 @@ class OutlineSystem:
                 np.full(patches, STANDS_OFF**-2.0),
             ]
         )
+        self._extra = len(self.fixed_precision)
         # what outlines would say of the poses as given
         self._targets = self.offsets.copy()
         for n, (k, w) in enumerate(seen):
             own = self._targets[self._ends[n] : self._ends[n + 1]]
             own += w.turns @ (weights[k] @ values)
-            if known is not None:
-                own -= self._alike_part(w, known)
-        if known is not None:
-            self.fixed_precision = self.fixed_precision[:0]
-        self._extra = len(self.fixed_precision)
+            if expected is not None:
+                own -= self._alike_part(w, expected[0])
+        if expected is not None:
+            self.fixed_precision = np.maximum(self.fixed_precision, 1.0 / expected[1])
         self._residual = self.offsets - np.median(self.offsets)
         self.noise = NOISE
         self.row_weights = np.ones(len(self.offsets))
@@ -135,8 +135,7 @@ class OutlineSystem:
         values, extra = solution[: self.count].reshape(self.knots, -1), solution[self.count :]
         parts = []
         for k, w in self._seen:
-            part = w.turns @ (self._spline_weights[k] @ values)
-            parts.append(part + self._alike_part(w, extra) if self._extra else part)
+            parts.append(w.turns @ (self._spline_weights[k] @ values) + self._alike_part(w, extra))
         return np.concatenate(parts)
 
     def _alike_part(self, w: Witness, extra: Floats) -> Floats:
@@ -158,35 +157,29 @@ class OutlineSystem:
         diagonal = np.zeros(patches)
         for n, (k, w) in enumerate(self._seen):
             own = slice(self._ends[n], self._ends[n + 1])
-            rows = np.concatenate([w.turns, _few(w)], axis=1) if self._extra else w.turns
+            rows, place = np.concatenate([w.turns, _few(w)], axis=1), self._patch[w.vertices]
             weighted = rows * self.row_weights[own, None]
             block, part = weighted.T @ rows, weighted.T @ self._targets[own]
-            active = np.flatnonzero(self._spline_weights[k])
-            for a in active:
-                wa = self._spline_weights[k, a]
-                right[a * size : (a + 1) * size] += wa * part[:size]
-                for b in active[active >= a]:
-                    near[a, b - a] += wa * self._spline_weights[k, b] * block[:size, :size]
-            if not self._extra:
-                continue
-            place = self._patch[w.vertices]
             by_place = (
                 csr_array((w.per_metre, (place, np.arange(len(place)))), shape=(patches, len(place)))
                 @ weighted
             )
             pull = self.row_weights[own] * w.per_metre
+            active = np.flatnonzero(self._spline_weights[k])
             for a in active:
                 wa = self._spline_weights[k, a]
+                right[a * size : (a + 1) * size] += wa * part[:size]
                 border[a, :, few] += wa * block[:size, size:]
                 border[a, :, places] += wa * by_place[:, :size].T
+                for b in active[active >= a]:
+                    near[a, b - a] += wa * self._spline_weights[k, b] * block[:size, :size]
             corner[few, few] += block[size:, size:]
             corner[few, places] += by_place[:, size:].T
             diagonal += np.bincount(place, pull * w.per_metre, patches)
             extra[few] += part[size:]
             extra[places] += np.bincount(place, pull * self._targets[own], patches)
-        if self._extra:
-            corner[places, places] = np.diag(diagonal)
-            corner[places, few] = corner[few, places].T
+        corner[places, places] = np.diag(diagonal)
+        corner[places, few] = corner[few, places].T
         self._near, self._border, self._corner, self._right = near, border, corner, right
 
     def solve(self, precision: Floats) -> Floats:
