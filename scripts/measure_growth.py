@@ -65,13 +65,16 @@ class Point:
 
 def measure(work: Path, point: Point) -> dict[str, float]:
     """Returns the figures of a run in this process, which has done nothing else."""
-    import torch
-    from hydra import compose, initialize_config_dir
+    from occfusion.cpu.loading import loading
 
-    from occfusion.cli.train import find_config_dir
-    from occfusion.run.step_profile import profile_stages
-    from occfusion.settings.schema import load_settings
-    from occfusion.stages.optim import OptimStage
+    with loading():  # as the command line does
+        import torch
+        from hydra import compose, initialize_config_dir
+
+        from occfusion.cli.train import find_config_dir
+        from occfusion.run.step_profile import profile_stages
+        from occfusion.settings.schema import load_settings
+        from occfusion.stages.optim import OptimStage
 
     started: list[tuple[float, float]] = []
     usual_start = OptimStage.on_train_start
