@@ -105,3 +105,20 @@ def test_garbage_is_searched_for_again_after_loading() -> None:
     with pytest.raises(ImportError), loading():
         import occfusion.nothing_of_this_name  # noqa: F401
     assert gc.isenabled()
+
+
+@pytest.mark.parametrize(("given", "threads"), [(None, "1"), ("2", "2")])
+def test_opencv_gets_one_thread_where_the_user_says_nothing(
+    given: str | None, threads: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(ENVIRONMENT, "OPENCV_FOR_THREADS_NUM", raising=False)
+    if given is not None:
+        monkeypatch.setitem(ENVIRONMENT, "OPENCV_FOR_THREADS_NUM", given)
+    program = """
+from occfusion.cpu.loading import loading
+with loading():
+    import cv2
+print(cv2.getNumThreads())
+"""
+    done = run("-c", program, cwd=tmp_path)
+    assert done.stdout.split() == [threads], done.stderr

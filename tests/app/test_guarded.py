@@ -111,8 +111,9 @@ def test_a_file_of_somebody_elses_is_one_plain_message(tmp_path: Path) -> None:
     assert "ConfigError: setting hydra.callbacks.x._target_=logging.os.system" in done.stderr
     assert done.returncode == 1 and "Traceback" not in done.stderr and not (tmp_path / "touched").exists()
     with subprocess.Popen(
-        command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True
-    ) as process:
+        command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job would ignore it
+    ) as process:  # fmt: skip
         assert process.stderr is not None
         assert "settings" in process.stderr.readline()
         assert busy_seconds(process.pid) < FIRST_WORD
@@ -133,8 +134,9 @@ def busy_seconds(process: int) -> float:
 def test_the_first_word_of_a_verb_comes_before_its_libraries(verb: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "occfusion", verb, "nowhere"]
     with subprocess.Popen(
-        command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True
-    ) as process:
+        command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job would ignore it
+    ) as process:  # fmt: skip
         assert process.stderr is not None
         assert process.stderr.readline() == f"occfusion {verb}: the program is loaded\n"
         assert busy_seconds(process.pid) < FIRST_WORD

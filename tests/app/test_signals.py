@@ -151,6 +151,46 @@ def test_ctrl_c_that_falls_into_a_destructor_is_not_lost(kept: bool) -> None:
     assert not kept or done.stderr == ""
 
 
+HALF_MADE = """
+import signal, sys
+from occfusion.cli.interrupts import keep_interrupts
+
+class Held:
+    def __init__(self, press):
+        if press:
+            signal.raise_signal(signal.SIGINT)  # as it would fall into a library's constructor
+        self.made = True
+
+    def __del__(self):
+        if not self.made:
+            raise ValueError
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+keep_interrupts()
+if {pressed}:
+    try:
+        Held(True)
+    except KeyboardInterrupt:
+        pass
+else:
+    held = Held(False)
+    del held.made
+    del held
+held = Held(False)
+held.made = False
+"""
+
+
+@pytest.mark.parametrize("pressed", [True, False])
+def test_what_an_interruption_left_half_made_goes_without_a_word(pressed: bool) -> None:
+    """An error that is not of that kind is still told, and so is the same one where nobody pressed a key."""
+    code = HALF_MADE.format(pressed=pressed)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True, check=False
+    )
+    assert done.stderr.count("AttributeError") == (0 if pressed else 1) and "ValueError" in done.stderr
+
+
 DURING_COMPOSITION = """
 import signal, sys
 from pathlib import Path

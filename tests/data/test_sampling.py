@@ -62,6 +62,19 @@ def test_reading_happens_in_another_thread_and_its_error_comes_through():
         next(stream)
 
 
+def test_what_is_kept_is_made_where_it_is_used_and_the_order_stays():
+    kept = {1, 2, 5}
+    found = list(prefetched(lambda k: (k, threading.current_thread().name), range(7), kept.__contains__))
+    own = threading.current_thread().name
+    assert [k for k, _ in found] == list(range(7))
+    assert {k for k, name in found if name == own} == kept
+    stream = prefetched(lambda k: k, iter(range(100)), lambda _: True)
+    assert [next(stream) for _ in range(3)] == [0, 1, 2]  # nothing is made that nobody has asked for
+    late = StepStream(lambda p: p, StepSampler(5, 2), lambda: 3, is_kept=lambda p: p % 2 == 0)
+    plain = StepStream(lambda p: p, StepSampler(5, 2), lambda: 3)
+    assert list(islice(late, 12)) == list(islice(plain, 12))
+
+
 @dataclass
 class Block:
     nbytes: int

@@ -53,7 +53,9 @@ def _press(number: int, frame: FrameType | None) -> None:
 
 def _unraisable(error: UnraisableHookArgs) -> None:
     if not issubclass(error.exc_type, KeyboardInterrupt):
-        _before(error)
+        # what an interruption left half-made lacks an attribute when it goes, and is nobody's fault
+        if not (_is_pressed and issubclass(error.exc_type, AttributeError)):
+            _before(error)
         return
     again = threading.Timer(AGAIN_SECONDS, _thread.interrupt_main)
     again.daemon = True  # a process that has come to its end is not held by it
