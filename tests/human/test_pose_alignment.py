@@ -532,6 +532,25 @@ def test_knots_of_a_long_sequence_stay_near_each_other(
     assert len(asked) == min(count, 50) and count - asked.stop - asked.start in (0, 1)
 
 
+def test_shapes_that_change_from_frame_to_frame_are_each_frames_own(whole_body: Body) -> None:
+    """Some fits have another shape at each moment; what is kept of the last one is not taken for this one's."""
+    found = looks(whole_body, wrong(0.03), motion)
+    shapes = torch.linspace(-1.0, 1.0, len(found))[:, None] * torch.ones(10)
+    varied = [
+        replace(look, pose=replace(look.pose, betas=own)) for look, own in zip(found, shapes, strict=True)
+    ]
+    spline, before = PoseSpline.over([look.index for look in found], 4), torch.get_num_threads()
+    alone = [Aligner([look], whole_body, spline).observe([0], 0.08) for look in varied]
+    try:
+        torch.set_num_threads(3)
+        together = Aligner(varied, whole_body, spline).observe(range(len(varied)), 0.08)
+    finally:
+        torch.set_num_threads(before)
+    for (_, one), [(_, other)] in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(one.offsets, other.offsets)
+        np.testing.assert_array_equal(one.turns, other.turns)
+
+
 def test_alignment_is_the_same_for_any_number_of_threads(whole_body: Body) -> None:
     given = wrong(0.06)
     found, before = looks(whole_body, given, motion), torch.get_num_threads()

@@ -37,12 +37,12 @@ class StepSampler:
         return self._order[within]
 
 
-def _nothing(_: object) -> bool:
+def _never(_: object) -> bool:
     return False
 
 
 def prefetched(
-    read: Callable[[T], Frame], wanted: Iterable[T], is_kept: Callable[[T], bool] = _nothing
+    read: Callable[[T], Frame], wanted: Iterable[T], is_kept: Callable[[T], bool] = _never
 ) -> Iterator[Frame]:
     """Yields the frames of `wanted` in order, made ahead by one thread (decoding releases the GIL).
 
@@ -79,7 +79,7 @@ class StepStream(IterableDataset[Frame]):
         sampler: StepSampler,
         first_step: Callable[[], int],
         share: Callable[[], tuple[int, int]] = lambda: (0, 1),
-        is_kept: Callable[[int], bool] = _nothing,
+        is_kept: Callable[[int], bool] = _never,
     ) -> None:
         """Makes the stream.
 

@@ -229,12 +229,12 @@ class _Arrays:
 
     def rest(self, betas: Floats) -> tuple[Floats, Floats]:
         """Returns vertices and joints of a shape; that of the last call, which is that of the sequence, is kept."""
-        key = betas.tobytes()
-        if self._rest is None or self._rest[0] != key:
+        key, kept = betas.tobytes(), self._rest
+        if kept is None or kept[0] != key:
             vertices = self.template + self.directions[..., : len(betas)] @ betas
             joints = self.joints + self.joint_directions[..., : len(betas)] @ betas
-            self._rest = key, vertices, joints
-        return self._rest[1:]
+            self._rest = kept = key, vertices, joints
+        return kept[1:]  # of this call: several threads ask
 
 
 class _Figure:
