@@ -138,6 +138,7 @@ def test_derivatives_are_those_of_the_body(whole_body: Body) -> None:
 
     nothing, step = torch.zeros(24, 3, dtype=torch.float64), 1e-5
     betas = torch.zeros(10, dtype=torch.float64)
+    np.testing.assert_allclose(figure.vertices[chosen], vertices(nothing, betas), atol=1e-7)
     for joint, axis in ((0, 1), (3, 0), (4, 2), (16, 1), (19, 0)):
         ahead, behind = nothing.clone(), nothing.clone()
         ahead[joint, axis], behind[joint, axis] = step, -step

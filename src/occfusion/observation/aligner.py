@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -105,7 +106,7 @@ class Aligner:
         self._weights = weights[:, self._known]
         self._knots = len(self._known)
         rest = body.rest(looks[0].pose.betas).vertices.double().cpu().numpy()
-        self._patch = _patches(rest)
+        self._patch = _patches(rest.tobytes(), PATCHES)
         self._left_out = self._patch % 2 == 1
         self._count = self._knots * POSE_COLUMNS
         group = np.zeros(POSE_COLUMNS, np.int64)
@@ -143,15 +144,16 @@ class Aligner:
                 return None
         pixel = self._looks[0].pixel
         sides = np.array([pixel, pixel, 1.0])
-        whole = np.zeros((2, self._spline.knots, POSE_COLUMNS))
-        whole[:, self._known] = amount * self.values, self.told
+        knots = self._spline.knots
+        turns, places, told = np.zeros((knots, 24, 3)), np.zeros((knots, 3)), np.zeros((knots, 24, 3))
+        self.into(turns, places, told, range(knots))
         return Alignment(
-            turns=whole[0, :, :72].reshape(-1, 24, 3),
-            places=whole[0, :, 72:],
+            turns=amount * turns,
+            places=amount * places,
             spreads=dict(zip((*GROUPS, "place"), self.spreads.tolist(), strict=True)),
             amount=amount,
             gain=gain,
-            told=whole[1, :, :72].reshape(-1, 24, 3),
+            told=told,
             first=self._spline.first,
             spacing=self._spline.spacing,
             picture=picture * sides,
@@ -332,10 +334,19 @@ def spline_weights(spline: PoseSpline, frame: float) -> Floats:
     return out
 
 
-def _patches(rest: Floats) -> Ints:
-    """Returns the place of each vertex, `[V]`: places lie as far from each other as can be."""
-    chosen, away = [0], np.linalg.norm(rest - rest[0], axis=1)
-    while len(chosen) < min(PATCHES, len(rest)):
+@lru_cache(2)  # a sequence has many aligners, and one shape
+def _patches(rest: bytes, count: int) -> Ints:
+    """Returns the place of each vertex, `[V]`: places lie as far from each other as can be.
+
+    Args:
+        rest: the vertices, float64 `[V, 3]`.
+        count: of the places, at most.
+    """
+    vertices = np.frombuffer(rest).reshape(-1, 3)
+    chosen, away = [0], np.linalg.norm(vertices - vertices[0], axis=1)
+    while len(chosen) < min(count, len(vertices)):
         chosen.append(int(away.argmax()))
-        away = np.minimum(away, np.linalg.norm(rest - rest[chosen[-1]], axis=1))
-    return np.asarray(cKDTree(rest[chosen]).query(rest)[1], np.int64)
+        away = np.minimum(away, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
+    found = np.asarray(cKDTree(vertices[chosen]).query(vertices)[1], np.int64)
+    found.flags.writeable = False  # all aligners have the same
+    return found

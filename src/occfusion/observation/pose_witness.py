@@ -238,7 +238,11 @@ class _Arrays:
 
 
 class _Figure:
-    """A posed body, and how its vertices move with turns, place and shape. All in float64."""
+    """A posed body, and how its vertices move with turns, place and shape. All in float64.
+
+    `Body` gives the same vertices, and is its test. A body is posed some hundred times before training begins, and
+    this takes half of the time (docs/experiments/058-long-videos-again.md).
+    """
 
     def __init__(self, body: Body, pose: Pose, turns: Floats, shift: Floats) -> None:
         self._body, self._arrays = body, (arrays := _Arrays(body))
