@@ -17,7 +17,7 @@ def loading() -> Iterator[None]:
 
     The searches take a quarter of the time that `import torch` takes, and as long again when the program ends. What is
     there afterwards is not searched again. OpenCV gets one thread: pictures are the size of a person, and its second
-    waits for work at the cost of a third of all that observing a video takes.
+    waits for work at the cost of a third of a look at an outline.
     """
     os.environ.setdefault(OPENCV_THREADS, "1")
     was_on = gc.isenabled()
