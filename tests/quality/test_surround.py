@@ -85,6 +85,15 @@ def test_filters_that_were_dropped_are_made_anew() -> None:
     assert torch.equal(metric.over_black(a, b), before)
 
 
+def test_of_black_pictures_their_rims_are_kept() -> None:
+    metric = made_up(antialiased=True)
+    a, b = pair(336, 336, (100, 90, 120, 60))
+    assert float(metric.over_black(a, b)) == pytest.approx(float(metric(a, b)), rel=RELATIVE)
+    (maps,) = metric._surround._black.values()
+    assert max(max(known.shape[:2]) for known in maps) <= 2 * 10  # felt 9 positions deep at most, and one more
+    assert sum(known.nbytes for known in maps) < 6e6  # whole maps: 140 MB
+
+
 def test_published_weights_both_calls_and_other_sizes_in_turn() -> None:
     metric = load_perceptual("stlpips")
     for metric_ in (metric, metric.with_unit_inputs(), metric):

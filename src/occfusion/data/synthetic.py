@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from occfusion.cpu.memory import trim_memory
 from occfusion.data.posing import RestBody
 from occfusion.data.zju.zju_data import ZjuDataModule
 from occfusion.synth import SceneSpec, with_turn, write_scene
@@ -53,4 +54,5 @@ def make_synthetic(
         spec = replace(spec, image_size=FAST_DEV_SIZE, frames=FAST_DEV_FRAMES, cameras=FAST_DEV_CAMERAS)
     folder = Path(root) / f"{spec.image_size}px-{spec.frames}x{spec.cameras}-{spec.light}"
     write_scene(folder, spec)
+    trim_memory()  # of the threads that drew
     return ZjuDataModule(folder, spec.name, body, image_size=image_size, **reading)

@@ -156,16 +156,18 @@ class BlackSurround:
         return np.stack([first, first + 1], axis=2).reshape(results, 6)
 
     def _maps_of_black(self, height: int, width: int, black: float) -> list[Array]:
-        """Returns every step's map `[h, w, C/64, 64]` of a small black picture whose borders are like a large one's."""
+        """Returns the rim of every step's map of a black picture `[h, w, C/64, 64]`: all that differs within it."""
         key = small(height), small(width), black
         maps = self._black.get(key)
         if maps is None:
             pictures = torch.full((1, 3, *key[:2]), black)
             felt, current, maps = torch.ones(key[:2], dtype=torch.bool), None, list[Array]()
+            deep = 0
             for step in steps():
                 felt = self._network.reach(felt, pools=step == POOL)
                 current = self._step(step, current, pictures, felt, None)
-                maps.append(current.values[0])
+                deep = deep // 2 + 2 if step == POOL else deep + 1
+                maps.append(_rim(current.values[0], deep))
             self._black = {key: maps}  # pictures of one evaluation are mostly of one size
         return maps
 
@@ -207,6 +209,20 @@ def _extent(used: Tensor) -> tuple[int, int]:
     """Returns the first True and behind the last one."""
     places = used.nonzero()
     return int(places[0]), int(places[-1]) + 1
+
+
+def _rim(values: Array, deep: int) -> Array:
+    """Returns a black picture's map `[h, w, ...]` without the middle, which is the same everywhere.
+
+    Args:
+        values: the whole map.
+        deep: how many positions the borders are felt; one more is kept of the middle, at each end.
+    """
+    for axis, length in enumerate(values.shape[:2]):
+        if length > 2 * (deep + 1):
+            ends = np.r_[: deep + 1, length - deep - 1 : length]
+            values = np.take(values, ends, axis=axis)
+    return values
 
 
 def _in_small(length: int, small_length: int) -> Array:

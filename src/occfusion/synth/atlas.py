@@ -26,29 +26,38 @@ MARGIN = 0.01
 
 
 @dataclass(frozen=True)
+class Unwrapping:
+    """Where the faces of the full body lie in the texture.
+
+    Attributes:
+        uv: texture coordinates of each corner of each face, `[F, 3, 2]`, 0..1.
+        layer: layer of each face, `[F]`.
+    """
+
+    uv: Floats
+    layer: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
 class Atlas:
-    """Texture coordinates, and the place of each texel.
+    """The place of each texel.
 
     Attributes:
         side: texels a side of a layer.
-        uv: texture coordinates of each corner of each face, `[F, 3, 2]`, 0..1.
-        layer: layer of each face, `[F]`.
         texels: flat index into `[LAYERS, side, side]` of each texel that paints something, `[N]`.
         points: its place on the template, `[N, 3]`, metres.
         group: its group (`fullbody.GROUPS`), `[N]`.
     """
 
     side: int
-    uv: Floats
-    layer: NDArray[np.int64]
     texels: NDArray[np.int64]
     points: Floats
     group: NDArray[np.int64]
 
 
 @cache
-def load_atlas(side: int = SIZE) -> Atlas:
-    """Returns the atlas with layers of `side` x `side` texels; made once a process (0.3 s)."""
+def load_unwrapping() -> Unwrapping:
+    """Returns where faces lie in the texture: all that geometry wants of it."""
     body = load_full_body()
     uv = body.uv[body.face_uv]
     layer = np.where(body.face_group == SKIN, 0, 1)
@@ -56,10 +65,17 @@ def load_atlas(side: int = SIZE) -> Atlas:
         own = body.face_group == group
         low, high = uv[own].min((0, 1)), uv[own].max((0, 1))
         uv[own] = (uv[own] - low) / (high - low) * [width - MARGIN, height - MARGIN] + [x, y] + 0.5 * MARGIN
+    return Unwrapping(uv, layer)
+
+
+@cache
+def load_atlas(side: int) -> Atlas:
+    """Returns the atlas with layers of `side` x `side` texels; made once a process (0.3 s for the full `SIZE`)."""
+    body, unwrapping = load_full_body(), load_unwrapping()
     texels, points, groups = [], [], []
     for k in range(LAYERS):
-        own = np.flatnonzero(layer == k)
-        corners = uv[own].reshape(-1, 2) * side
+        own = np.flatnonzero(unwrapping.layer == k)
+        corners = unwrapping.uv[own].reshape(-1, 2) * side
         seen = rasterize_mesh(
             corners, np.ones(len(corners)), np.arange(len(corners)).reshape(-1, 3), side, side
         )
@@ -69,7 +85,7 @@ def load_atlas(side: int = SIZE) -> Atlas:
         texels.append(flat + k * side * side)
         points.append(np.einsum("nk,nkd->nd", weights, body.template[body.faces[face]]))
         groups.append(body.face_group[face])
-    return Atlas(side, uv, layer, np.concatenate(texels), np.concatenate(points), np.concatenate(groups))
+    return Atlas(side, np.concatenate(texels), np.concatenate(points), np.concatenate(groups))
 
 
 def halvings(texel: float) -> int:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from occfusion.geometry.normals import vertex_normals
 from occfusion.synth import regions
-from occfusion.synth.atlas import load_atlas
+from occfusion.synth.atlas import load_unwrapping
 from occfusion.synth.fullbody import HAIR, LEFT_EYE, RIGHT_EYE, SKIN, SKIRT, load_full_body
 from occfusion.synth.noise import value_noise
 from occfusion.synth.rotations import Floats
@@ -58,7 +58,7 @@ class Figure:
 
 def dress(subject: Subject) -> Figure:
     """Returns the dressed figure of a person."""
-    body, atlas = load_full_body(), load_atlas()
+    body, unwrapping = load_full_body(), load_unwrapping()
     rest = body.template + body.shapedirs @ subject.betas
     joints = body.J_template + body.J_dirs @ subject.betas
     skin_faces = body.faces[body.face_group == SKIN]
@@ -88,8 +88,8 @@ def dress(subject: Subject) -> Figure:
         joints=joints,
         weights=weights[used],
         faces=faces.reshape(-1, 3),
-        uv=atlas.uv[shown],
-        layer=atlas.layer[shown],
+        uv=unwrapping.uv[shown],
+        layer=unwrapping.layer[shown],
         template=body.template[used],
         group=body.vertex_group[used],
         cloth=cloth[used],

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from occfusion.cpu.threads import usable_cores
 from occfusion.errors import DataError
 from occfusion.files.lock import only_one
+from occfusion.synth.atlas import load_atlas
 from occfusion.synth.fullbody import asset_bytes
 from occfusion.synth.manifest import is_current, write_manifest
 from occfusion.synth.scene import Parameters, Scene, Shot
@@ -101,6 +102,8 @@ def _write_all(folder: Path, scene: Scene, progress: bool) -> None:
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+        finally:
+            load_atlas.cache_clear()  # painted: 90 MB for the finest
 
 
 def _parts(scene: Scene) -> list[str]:
