@@ -90,7 +90,9 @@ def test_of_black_pictures_their_rims_are_kept() -> None:
     a, b = pair(336, 336, (100, 90, 120, 60))
     assert float(metric.over_black(a, b)) == pytest.approx(float(metric(a, b)), rel=RELATIVE)
     (maps,) = metric._surround._black.values()
-    assert max(max(known.shape[:2]) for known in maps) <= 2 * 10  # felt 9 positions deep at most, and one more
+    assert (
+        max(max(known.shape[:2]) for known in maps) <= 2 * 10
+    )  # felt 9 positions deep at most, and one more
     assert sum(known.nbytes for known in maps) < 6e6  # whole maps: 140 MB
 
 
