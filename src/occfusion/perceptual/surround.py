@@ -39,7 +39,7 @@ class Map:
     Attributes:
         values: the box that holds all chosen positions, `[N, h, w, C/64, 64]`.
         chosen: which of its positions count, bool `[h, w]`.
-        known: the black picture's map, `[h', w', C/64, 64]`.
+        known: the rim of the black picture's map, `[h', w', C/64, 64]`.
         rows: for each row of the whole map the one of `known` that is like it, int64 `[H]`.
         columns: the same for columns, `[W]`.
         corner: row and column of the box, int64 `[2]`.

@@ -70,7 +70,7 @@ def load_unwrapping() -> Unwrapping:
 
 @cache
 def load_atlas(side: int) -> Atlas:
-    """Returns the atlas with layers of `side` x `side` texels; made once a process (0.3 s for the full `SIZE`)."""
+    """Returns the atlas with layers of `side` x `side` texels; kept until a scene is written (0.3 s to make)."""
     body, unwrapping = load_full_body(), load_unwrapping()
     texels, points, groups = [], [], []
     for k in range(LAYERS):
