@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "src" / "occfusion"
 # the parts of the package from the ground up; a part is a module or a folder directly under `occfusion`
 LAYERS = [
     {"types", "errors"},
-    {"cpu", "fields"},
+    {"cpu", "fields", "gpu"},
     {"files", "geometry", "quality"},
     {"footage", "perceptual", "report", "splat", "synth"},
     {"evaluation", "human"},

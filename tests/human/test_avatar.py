@@ -433,3 +433,26 @@ def test_a_turn_has_the_gradient_of_its_rows(body):
 
     (wanted,) = torch.autograd.grad(whole(), last)
     assert torch.allclose(found, wanted, atol=1e-10, rtol=1e-10) and found.abs().max() > 0
+
+
+@pytest.mark.parametrize("lamp", [None, (0.3, -0.2, 0.5)])
+def test_gaussians_posed_from_tensors_alone_are_those_of_the_avatar(body, lamp):
+    """What a GPU records of a step reads nothing else: the tensors may lie elsewhere by the next call."""
+    avatar = plain(body, sh_degree=1, key_light=None if lamp is None else torch.tensor(lamp).double())
+    shake(avatar)
+    avatar.active_sh_degree = 1
+    gaussians, centre = avatar.gaussians, torch.tensor([0.2, 0.1, -3.0], dtype=torch.float64)
+    placed = avatar._placed(body.da_pose())
+    wanted = avatar._posed(gaussians, placed, centre, avatar.da_normals, avatar.key_light)
+    given = (*placed, centre, avatar.da_normals, *gaussians.tensors())
+    copies = [tensor.detach().clone().requires_grad_(tensor.requires_grad) for tensor in given]
+    found = avatar._posed_by_tensors(*copies, *(() if avatar.key_light is None else (avatar.key_light,)))
+    weights = [torch.rand_like(value) for value in wanted]
+    leaves = [tensor for tensor in copies if tensor.requires_grad]
+    assert len(leaves) == len(list(gaussians.parameters()))
+    gradients = torch.autograd.grad(found, leaves, weights)
+    for ours, theirs in zip(found, wanted, strict=True):
+        assert torch.equal(ours, theirs)
+    parameters = [tensor for tensor in given if tensor.requires_grad]
+    for ours, theirs in zip(gradients, torch.autograd.grad(wanted, parameters, weights), strict=True):
+        assert torch.equal(ours, theirs)

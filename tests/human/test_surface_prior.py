@@ -443,3 +443,20 @@ def test_feathers_lie_down_by_descent_and_stay_as_large(free_body):
         costs.append(float(term.detach()))
     assert costs[0] > 3.0 and costs[-1] < 0.2 * costs[0]
     assert torch.equal(gaussians.log_scales.detach(), sizes)
+
+
+def test_penalties_of_tensors_alone_are_those_of_the_avatar(free_body):
+    """What a GPU records of a step reads nothing else."""
+    prior, avatar = prior_of(free_body, ALL, backend="torch"), unruly(free_body)
+    gaussians, surface = avatar.gaussians, prior._surface(avatar)
+    wanted = prior._penalties(gaussians, surface)
+    found = prior._penalties_by_tensors(*gaussians.tensors(), *vars(surface).values())
+    assert len(found) == len(prior._penalty_names()) == 3
+    for ours, theirs in zip(found, wanted, strict=True):
+        assert torch.equal(ours, theirs)
+        both = [
+            torch.autograd.grad(value, list(gaussians.parameters()), allow_unused=True)
+            for value in (ours, theirs)
+        ]
+        for a, b in zip(*both, strict=True):
+            assert (a is None) == (b is None) and (a is None or torch.equal(a, b))

@@ -223,11 +223,14 @@ def _evened(frame: Frame, gain: NDArray[np.float32]) -> Frame:
 
 
 def frame_to(frame: Frame, device: torch.device | str) -> Frame:
-    """Returns the frame with all its tensors on `device`."""
+    """Returns the frame with its pictures on `device`.
+
+    Pose and camera stay on the host, which does with them what a device would be started a hundred times for.
+    """
 
     def moved(record: Any) -> dict[str, Any]:
         parts = {field.name: getattr(record, field.name) for field in fields(record)}
-        return {name: part.to(device) for name, part in parts.items() if hasattr(part, "to")}
+        return {name: part.to(device) for name, part in parts.items() if isinstance(part, Tensor)}
 
     truth = frame.truth and replace(frame.truth, **moved(frame.truth))
     return replace(frame, **moved(frame), truth=truth)

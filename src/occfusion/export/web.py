@@ -53,7 +53,7 @@ def write_page(
     betas = performances[0].betas
     rotations, _ = avatar._corrected(performances[0].pose(0))
     binding = avatar._binding()
-    offsets = avatar._offsets(
+    _, offsets = avatar._shaped(
         betas, rotations if avatar.body.posedirs is None else avatar.body.da_rotations()
     )
     linear = binding.rest_maps[:, :3].permute(2, 0, 1)

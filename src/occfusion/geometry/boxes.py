@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from occfusion.gpu.graphs import GraphedFunction
 from occfusion.types import Box, Camera
 
 Bounds = tuple[int, int, int, int]
@@ -55,6 +56,8 @@ def person_box(points: Tensor, mask: Tensor, camera: Camera, padding: int, *, co
     """
     if compiled and points.dtype == torch.float32 and points.device.type == "cpu":
         both = _compiled_bounds(points, mask, camera)
+    elif points.is_cuda:
+        both = _bounds_at_once(points, mask, camera)
     else:
         both = (points_bounds(points, camera), mask_bounds(mask))
     bounds = [b for b in both if b is not None]
@@ -79,6 +82,35 @@ def _compiled_bounds(points: Tensor, mask: Tensor, camera: Camera) -> tuple[Boun
     of_mask = bounds_of_mask(mask.contiguous().numpy())
     left, top, right, bottom = of_points
     return (left, top, right, bottom) if count else None, of_mask if of_mask[2] else None
+
+
+def _bounds_at_once(points: Tensor, mask: Tensor, camera: Camera) -> tuple[Bounds | None, Bounds | None]:
+    """Returns `points_bounds` and `mask_bounds`, asking the device once."""
+    viewmat, K = camera.viewmat.to(points), camera.K.to(points)
+    found = _GRAPHED_BOUNDS(points, mask, viewmat, K)[0].tolist()
+    left, top, right, bottom, *of_mask, count = map(int, found)
+    of_points = (left, top, right, bottom) if right > -FARTHEST - 1 else None
+    return of_points, (of_mask[0], of_mask[1], of_mask[2], of_mask[3]) if count else None
+
+
+def _bounds(points: Tensor, mask: Tensor, viewmat: Tensor, K: Tensor) -> tuple[Tensor]:
+    """Returns the four bounds of points, those of a mask, and whether there is any pixel in it, in double precision."""
+    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    is_before = local[:, 2:] > NEAR
+    pixels = (local[:, :2] / torch.where(is_before, local[:, 2:], 1.0)) @ K[:2, :2].T + K[:2, 2]
+    pixels = pixels.clamp(-FARTHEST, FARTHEST)
+    beyond = 2 * FARTHEST
+    low = torch.where(is_before, pixels, beyond).amin(dim=0).floor()
+    high = torch.where(is_before, pixels, -beyond).amax(dim=0).ceil()
+    ends = []
+    for line in (mask.any(dim=0), mask.any(dim=1)):
+        flags = line.to(torch.int8)  # of equal numbers the first is found
+        ends.append(torch.stack([flags.argmax(), len(line) - flags.flip(0).argmax()]))
+    of_mask = torch.stack(ends, dim=1).flatten()
+    return (torch.cat([low.double(), high.double(), of_mask.double(), mask.any().double()[None]]),)
+
+
+_GRAPHED_BOUNDS = GraphedFunction(_bounds)
 
 
 def crop(image: Tensor, box: Box) -> Tensor:

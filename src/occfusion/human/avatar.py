@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +13,7 @@ from occfusion.files.bodyfile import NUM_JOINTS
 from occfusion.geometry.neighbours import Neighbours, nearest
 from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.skinning import bone_transforms
+from occfusion.gpu.graphs import GraphedFunction
 from occfusion.human.body import Body
 from occfusion.human.carry import Carried, blend_columns, carry
 from occfusion.human.deform import Binding, PoseRefiner, SkinningField, bind, skinning_weights
@@ -26,6 +27,24 @@ from occfusion.types import Cloud, Pose
 SKINNING_ROWS = 4
 """The skinning network learns from every so manieth Gaussian, those after them the next time. Neighbours on the body
 have nearly the same place, and the network has the same answer for them."""
+
+
+class Placed(NamedTuple):
+    """What carries Gaussians into a pose.
+
+    Attributes:
+        transforms: of the bones, `[24, 4, 4]`.
+        transl: the body's place, `[3]`, metres.
+        weights: skinning weights, `[N, 24]`.
+        rest_maps: canonical to rest, `[3, 4, N]`.
+        offsets: displacements at rest, `[N, 3]`, metres.
+    """
+
+    transforms: Tensor
+    transl: Tensor
+    weights: Tensor
+    rest_maps: Tensor
+    offsets: Tensor
 
 
 class Avatar(nn.Module):
@@ -90,6 +109,7 @@ class Avatar(nn.Module):
         self._is_skinning_due = True
         self._skinning_turn = 0
         self._memo = Memo()
+        self._in_training = GraphedFunction(self._posed_by_tensors)
 
     # -- settings that follow the training ------------------------------------------------------------------
 
@@ -156,25 +176,56 @@ class Avatar(nn.Module):
         Raises:
             DataError: the pose has another number of joints, or more betas than the body.
         """
-        carried = self.deform(pose)
-        colors = posed_colors(
-            self.gaussians, self._active_sh_degree, carried, camera_centre, self.da_normals, self.key_light
-        )
-        return Cloud(carried.means, carried.covariances, self.gaussians.opacities, colors, self.dilation)
+        gaussians, placed = self.gaussians, self._placed(pose)
+        centre = camera_centre.to(gaussians.means)
+        if self.training and torch.is_grad_enabled() and gaussians.means.is_cuda:
+            lamp = () if self.key_light is None else (self.key_light,)
+            means, covariances, opacities, colors = self._in_training(
+                *placed, centre, self.da_normals, *gaussians.tensors(), *lamp, key=self._active_sh_degree
+            )
+        else:
+            means, covariances, opacities, colors = self._posed(
+                gaussians, placed, centre, self.da_normals, self.key_light
+            )
+        return Cloud(means, covariances, opacities, colors, self.dilation)
 
     def deform(self, pose: Pose) -> Carried:
         """Returns centres and covariances in a pose, world coordinates, without colours."""
-        body, gaussians = self.body, self.gaussians
+        return _carried(self.gaussians, self._placed(pose))
+
+    def _placed(self, pose: Pose) -> Placed:
+        """Returns what carries Gaussians into a pose.
+
+        Joints are posed on the host, where a GPU would be started a hundred times.
+        """
+        means = self.gaussians.means
+        pose = pose.to("cpu") if means.is_cuda else pose
         rotations, transl = self._corrected(pose)
-        betas = body.check_betas(pose.betas)
-        joints = body.joint_template + body.joint_dirs[:, :, : len(betas)] @ betas
-        transforms = bone_transforms(rotations, joints, body.parents, compiled=True)
+        joints, offsets = self._shaped(pose.betas, rotations)
+        transforms = bone_transforms(rotations, joints, self.body.parents, compiled=True)
         binding = self._binding()
-        posed_maps = blend_columns(binding.weights, transforms, transl)
-        offsets = self._offsets(betas, rotations)
-        return carry(
-            gaussians.means, gaussians.raw_quats, gaussians.scales, binding.rest_maps, offsets, posed_maps
-        )
+        return Placed(transforms.to(means), transl.to(means), binding.weights, binding.rest_maps, offsets)
+
+    def _posed(
+        self,
+        gaussians: Gaussians,
+        placed: Placed,
+        camera_centre: Tensor,
+        normals: Tensor,
+        key_light: Tensor | None,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Returns centres, covariances, opacities and colours."""
+        carried = _carried(gaussians, placed)
+        colors = posed_colors(gaussians, self._active_sh_degree, carried, camera_centre, normals, key_light)
+        return carried.means, carried.covariances, gaussians.opacities, colors
+
+    def _posed_by_tensors(self, *tensors: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Returns what `_posed` does, from tensors alone: a `Placed`, a camera, normals, Gaussians, a lamp if any."""
+        *placed, camera_centre, normals = tensors[:7]
+        count = len(self.gaussians.tensors())
+        lamp = tensors[7 + count :]
+        gaussians = Gaussians.of(tensors[7 : 7 + count])
+        return self._posed(gaussians, Placed(*placed), camera_centre, normals, lamp[0] if lamp else None)
 
     def brightness(self, carried: Carried) -> Tensor | None:
         """Returns how bright the key light makes Gaussians in a pose, `[N]`; None under even light.
@@ -196,10 +247,9 @@ class Avatar(nn.Module):
     def _corrected(self, pose: Pose) -> tuple[Tensor, Tensor]:
         """Returns the joint rotations `[24, 3, 3]` and the translation `[3]` after all corrections."""
         rotations = self.body.rotations(pose.global_orient, pose.body_pose)
-        transl = pose.transl.to(self.gaussians.means)
+        transl = pose.transl.to(rotations)
         if self.pose_refiner is not None:
-            body_pose = pose.body_pose.reshape(-1).to(self.gaussians.means)
-            rotations = self.pose_refiner(body_pose, rotations)
+            rotations = self.pose_refiner(pose.body_pose.reshape(-1), rotations)
         if self.pose_spline is not None and pose.frame_index is not None:
             rotations, transl = self.pose_spline(pose.frame_index, rotations, transl)
         return rotations, transl
@@ -215,21 +265,30 @@ class Avatar(nn.Module):
         colors = seen_colors(self.gaussians, self._active_sh_degree, means, camera_centre, None)
         return Cloud(means, roots @ roots.transpose(1, 2), self.gaussians.opacities, colors, self.dilation)
 
-    def _offsets(self, betas: Tensor, rotations: Tensor) -> Tensor:
-        """Returns the blend shapes of this shape and pose minus those of the canonical body, `[N, 3]`."""
-        if self.body.posedirs is None and not betas.requires_grad:
-            # a video has one shape
-            key = (self._rows_key(), tuple(betas.tolist()))
-            return self._memo.get(
-                "shape", key, lambda: self._shape_offsets(betas)[self.gaussians.vertex_index]
-            )
-        offsets = self._shape_offsets(betas)
-        if self.body.posedirs is not None:
-            offsets = offsets + (self.body.pose_offsets(rotations) - self.da_offsets)
-        return offsets[self.gaussians.vertex_index]
+    def _shaped(self, betas: Tensor, rotations: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the joints of this shape at rest, and what shape and pose displace.
 
-    def _shape_offsets(self, betas: Tensor) -> Tensor:
-        return self.body.shapedirs[:, :, : len(betas)] @ betas
+        Returns:
+            `[24, 3]`, where the rotations are; and the blend shapes minus those of the canonical body, `[N, 3]`.
+        """
+        if betas.requires_grad:
+            joints, offsets = self._shape(betas, rotations.device)
+        else:
+            # a video has one shape
+            key = (self._rows_key(), rotations.device, tuple(betas.tolist()))
+            joints, offsets = self._memo.get("shape", key, lambda: self._shape(betas, rotations.device))
+        if self.body.posedirs is not None:
+            by_pose = self.body.pose_offsets(rotations.to(offsets)) - self.da_offsets
+            offsets = offsets + by_pose[self.gaussians.vertex_index]
+        return joints, offsets
+
+    def _shape(self, betas: Tensor, host: torch.device) -> tuple[Tensor, Tensor]:
+        """Returns the joints at rest on a device, and the blend shapes of the Gaussians where they are."""
+        body = self.body
+        betas = body.check_betas(betas)
+        joints = body.joint_template + body.joint_dirs[:, :, : len(betas)] @ betas
+        offsets = body.shapedirs[:, :, : len(betas)] @ betas
+        return joints.to(host), offsets[self.gaussians.vertex_index]
 
     # -- skinning weights, and when they are computed -------------------------------------------------------
 
@@ -301,3 +360,10 @@ class Avatar(nn.Module):
             self.skinning_offsets = self.skinning_offsets.new_empty(given.shape)
         self._memo.clear()
         super()._load_from_state_dict(state_dict, prefix, *args)
+
+
+def _carried(gaussians: Gaussians, placed: Placed) -> Carried:
+    posed_maps = blend_columns(placed.weights, placed.transforms, placed.transl)
+    return carry(
+        gaussians.means, gaussians.raw_quats, gaussians.scales, placed.rest_maps, placed.offsets, posed_maps
+    )

@@ -137,7 +137,7 @@ class Body(nn.Module):
         return leading_betas(betas, self.num_betas, "betas", cut=self.cut_betas).to(self.v_template)
 
     def rotations(self, global_orient: Tensor, body_pose: Tensor) -> Tensor:
-        """Returns the rotation of each joint relative to its parent, `[24, 3, 3]`.
+        """Returns the rotation of each joint relative to its parent, `[24, 3, 3]`, where the angles are.
 
         Raises:
             DataError: not 3 and 69 numbers.
@@ -148,7 +148,7 @@ class Body(nn.Module):
                 f"{3 * (NUM_JOINTS - 1)} for the other {NUM_JOINTS - 1} joints"
             )
         axis_angles = torch.cat([global_orient.reshape(1, 3), body_pose.reshape(-1, 3)])
-        return axis_angle_to_matrix(axis_angles.to(self.v_template), compiled=True)
+        return axis_angle_to_matrix(axis_angles.to(self.v_template.dtype), compiled=True)
 
     def pose_offsets(self, rotations: Tensor) -> Tensor:
         """Returns the pose blend shapes at `rotations [24, 3, 3]`: `[V, 3]`, metres; zero without any."""

@@ -46,9 +46,11 @@ class PoseRefiner(nn.Module):
 
         Args:
             body_pose: axis-angles, `[69]`, radians: what the network sees.
-            rotations: joint rotations as the data give them, `[24, 3, 3]`.
+            rotations: joint rotations as the data give them, `[24, 3, 3]`; on the host or where the network is, and
+                so is what comes back.
         """
-        corrections = axis_angle_to_matrix(self.corrections(body_pose), compiled=True)
+        angles = self.corrections(body_pose.to(next(self.parameters())))
+        corrections = axis_angle_to_matrix(angles.to(rotations), compiled=True)
         return torch.cat([rotations[:1], rotations[1:] @ corrections])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -143,6 +143,20 @@ class Gaussians(nn.Module):
     def opacities(self) -> Tensor:
         """Opacities, `[N]`, between 6e-6 and 1 - 6e-6."""
         return self.opacity_logits.clamp(-MAX_LOGIT, MAX_LOGIT).sigmoid()
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Returns what `of` takes: the parameters, in the order of `PARAMETERS`, and the vertices that they follow."""
+        return (*(getattr(self, name) for name in PARAMETERS), self.vertex_index)
+
+    @classmethod
+    def of(cls, tensors: Sequence[Tensor]) -> Gaussians:
+        """Returns Gaussians that are views of `tensors`, with their gradients: for functions of tensors alone."""
+        gaussians = cls.__new__(cls)
+        nn.Module.__init__(gaussians)
+        gaussians.revision = 0
+        for name, tensor in zip((*PARAMETERS, "vertex_index"), tensors, strict=True):
+            object.__setattr__(gaussians, name, tensor)
+        return gaussians
 
     def roots(self) -> Tensor:
         """Returns a root R S of each covariance: rotation times scales, `[N, 3, 3]`, metres."""

@@ -111,8 +111,9 @@ class PoseSpline(nn.Module):
 
         Args:
             frame_index: number of the frame.
-            rotations: of the joints, `[24, 3, 3]`.
+            rotations: of the joints, `[24, 3, 3]`; on the host or where the spline is, and so is what comes back.
             transl: of the body, `[3]`, metres.
         """
         turns, shift = self.at(frame_index)
-        return rotations @ axis_angle_to_matrix(turns, compiled=True), transl + shift
+        both = torch.cat([turns, shift[None]]).to(rotations)  # one copy: the host waits for each
+        return rotations @ axis_angle_to_matrix(both[:-1], compiled=True), transl + both[-1]

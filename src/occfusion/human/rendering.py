@@ -50,7 +50,6 @@ class Renderer:
             screen_offsets: `[N, 2]` pixels, added to the projected centres.
         """
         device = cloud.means.device
-        camera = camera.to(device)
         return rasterize(
             cloud.means, None, None, cloud.opacities, cloud.colors, camera.viewmat, camera.K,
             camera.width, camera.height, covariances=cloud.covariances,
@@ -71,7 +70,6 @@ class Renderer:
         """
         gaussians = avatar.gaussians
         device = gaussians.means.device
-        camera = camera.to(device)
         return rasterize(
             gaussians.means, gaussians.raw_quats, gaussians.scales, gaussians.opacities, colors, camera.viewmat,
             camera.K, camera.width, camera.height, backend=fitting_backend(self.backend, device),

@@ -129,7 +129,7 @@ def _placed(clip: Clip, body: Body, betas: Tensor) -> tuple[Array, Array]:
     points, maps = rest.vertices[of_feet][::4], body.weights[of_feet][::4]
     feet, joints = [], []
     for turn, pose in zip(clip.global_orient, clip.body_pose, strict=True):
-        rotations = body.rotations(torch.tensor(turn), torch.tensor(pose))
+        rotations = body.rotations(torch.tensor(turn), torch.tensor(pose)).to(rest.joints)
         transforms = bone_transforms(rotations, rest.joints, body.parents)
         feet.append(skin_points(points, blend(maps, transforms)).numpy())
         joints.append(posed_joints(transforms, rest.joints).numpy())

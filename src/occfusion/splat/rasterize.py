@@ -9,7 +9,7 @@ from occfusion.errors import ConfigError
 from occfusion.splat.backends.registry import render_with, resolve_backend
 from occfusion.splat.limits import DEFAULT_LIMITS, NEAR, Limits
 from occfusion.splat.once import refuse_transforms
-from occfusion.splat.request import Request, check_request, check_values, read_intrinsics
+from occfusion.splat.request import Request, check_request, check_rigid, check_values, read_intrinsics
 from occfusion.types import Box, Rendering
 
 
@@ -72,6 +72,7 @@ def rasterize(
     for name, tensor in needed.items():
         if not isinstance(tensor, Tensor):
             raise ConfigError(f"rasterize: {name} must be a tensor, got {type(tensor).__name__}")
+    check_rigid(viewmat)
     request = Request(
         means=means, quats=quats, scales=scales, opacities=opacities, colors=colors,
         viewmat=viewmat.to(means), intrinsics=read_intrinsics(K), width=width, height=height,

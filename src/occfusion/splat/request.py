@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor
 
 from occfusion.errors import ConfigError, NumericsError
+from occfusion.gpu.sums import total
 from occfusion.splat.harmonics import MAX_DEGREE, num_coefficients
 from occfusion.splat.limits import DEFAULT_LIMITS, NEAR, Limits
 from occfusion.types import Box
@@ -178,14 +180,15 @@ def check_values(request: Request) -> None:
     if request.background is not None:
         named["background"] = request.background
     # one fast pass for the usual case: a sum with NaN or infinity in it is not finite. A device is asked once
-    if not all(map(math.isfinite, torch.stack([values.sum() for values in named.values()]).tolist())):
+    ends = [*request.means.aminmax(), *request.opacities.aminmax()] if len(request.means) else []
+    whole, *ends_found = torch.stack([total(named.values()), *ends]).tolist()
+    if not math.isfinite(whole):
         for name, values in named.items():
             if rows := int((~values.isfinite()).sum()):
                 raise NumericsError(f"rasterize: {name} holds {rows} values that are NaN or infinite")
     if not len(request.means):
         return
-    ends = [*request.means.aminmax(), *request.opacities.aminmax()]
-    nearest, farthest, low, high = torch.stack(ends).tolist()
+    nearest, farthest, low, high = ends_found
     if max(-nearest, farthest) > FARTHEST:
         far = (request.means.abs() > FARTHEST).any(dim=1)
         _refuse(far, f"means: {{}} are farther away than {FARTHEST:g} m")
@@ -195,7 +198,6 @@ def check_values(request: Request) -> None:
     # those that come out of a computation, as a posed body's, are factors times their transposes: 3 % of a step saved
     if request.covariances is not None and request.covariances.grad_fn is None:
         _refuse(_indefinite(request.covariances), "covariances: {} have a negative eigenvalue")
-    _check_rigid(tuple(map(tuple, request.viewmat.tolist())))
 
 
 def _refuse(wrong: Tensor, text: str) -> None:
@@ -215,6 +217,17 @@ def _indefinite(covariances: Tensor) -> Tensor:
     determinant = 1 + 2 * a * b * c - aa - bb - cc
     negative = torch.minimum(torch.minimum(xx, yy), zz) < 0
     return negative | beyond | (determinant < -4 * CORRELATED)
+
+
+def check_rigid(viewmat: Tensor) -> None:
+    """Refuses a camera whose axes are not of length 1 and at right angles; best asked where the camera is given.
+
+    Raises:
+        NumericsError: saying so.
+    """
+    rows = viewmat.tolist() if tuple(viewmat.shape) == (4, 4) else []
+    if rows and all(map(math.isfinite, chain.from_iterable(rows))):  # what else is wrong the other checks say
+        _check_rigid(tuple(map(tuple, rows)))
 
 
 @lru_cache(maxsize=256)  # a video has one camera; what is refused is refused again

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from occfusion.errors import NumericsError
+from occfusion.gpu.sums import total
 from occfusion.stages.clock import TrainingClock
 from occfusion.types import Frame
 
@@ -117,7 +118,7 @@ def check_finite_gradients(groups: Iterable[Mapping[str, Any]], stage: str, step
     ]
     # a sum is finite only if all its parts are, and costs a fraction of testing each, or of a norm; the device is
     # asked once, since each question waits for it
-    if not named or math.isfinite(torch.stack([gradient.sum() for _, gradient in named]).sum()):
+    if not named or math.isfinite(total(gradient for _, gradient in named)):
         return
     for name, gradient in named:
         if not bool(torch.isfinite(gradient).all()):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from occfusion.gpu.graphs import GraphedFunction
 from occfusion.human.avatar import Avatar
+from occfusion.human.gaussians import Gaussians
 from occfusion.human.observability import CanonicalView, Observability, dressed_heights
 from occfusion.human.rendering import Renderer
 from occfusion.human.surface_terms import HELD_FROM, KnownSurface, depth_and_extent, hold, tilt
@@ -54,6 +57,7 @@ class SurfacePrior:
         self._views = [view.to(renderer.device) for view in views]
         self._compiled = renderer.backend == "numba"
         self._known: KnownSurface | None = None
+        self._recorded = GraphedFunction(self._penalties_by_tensors)
         self._holds = settings.hold and bool((known.ignorance >= HELD_FROM).any())
         clothes = dressed_heights(thickness, known)[:, None] * normals
         self._axis, self._ignorance, self._normals, self._clothes, self._thickness = (
@@ -68,17 +72,35 @@ class SurfacePrior:
 
     def terms(self, avatar: Avatar, step: int) -> Mapping[str, Tensor]:
         """Returns the terms of a step, unweighted: `surface_` and their names; those of weight zero are not built."""
-        settings = self.settings
-        terms: dict[str, Tensor] = {}
-        if settings.depth or settings.extent:
-            depth, extent = depth_and_extent(avatar.gaussians, self._surface(avatar), compiled=self._compiled)
-            terms |= {"surface_depth": depth} if settings.depth else {}
-            terms |= {"surface_extent": extent} if settings.extent else {}
-        if settings.tilt:
-            terms["surface_tilt"] = tilt(avatar.gaussians, self._surface(avatar), compiled=self._compiled)
+        settings, gaussians = self.settings, avatar.gaussians
+        names = self._penalty_names()
+        if names and gaussians.means.is_cuda:
+            values = self._recorded(*gaussians.tensors(), *vars(self._surface(avatar)).values())
+        else:
+            values = self._penalties(gaussians, self._surface(avatar))
+        terms = dict(zip(names, values, strict=True))
         if (settings.outline or settings.backface) and step % settings.every == 0:
             terms |= self._seen_from_a_side(avatar, step)
         return terms
+
+    def _penalty_names(self) -> list[str]:
+        return [f"surface_{name}" for name in ("depth", "extent", "tilt") if getattr(self.settings, name)]
+
+    def _penalties(self, gaussians: Gaussians, surface: KnownSurface) -> tuple[Tensor, ...]:
+        """Returns the values of `_penalty_names`."""
+        settings, found = self.settings, list[Tensor]()
+        if settings.depth or settings.extent:
+            both = depth_and_extent(gaussians, surface, compiled=self._compiled)
+            weights = (settings.depth, settings.extent)
+            found += [value for value, weight in zip(both, weights, strict=True) if weight]
+        if settings.tilt:
+            found.append(tilt(gaussians, surface, compiled=self._compiled))
+        return tuple(found)
+
+    def _penalties_by_tensors(self, *tensors: Tensor) -> tuple[Tensor, ...]:
+        """Returns what `_penalties` does, from the tensors of Gaussians and of a surface."""
+        count = len(fields(KnownSurface))
+        return self._penalties(Gaussians.of(tensors[:-count]), KnownSurface(*tensors[-count:]))
 
     def hold(self, avatar: Avatar) -> None:
         """Brings Gaussians back that left the room that the video gives them; changes them in place."""

@@ -1,0 +1,1 @@
+"""What runs on a GPU besides torch's own kernels."""
