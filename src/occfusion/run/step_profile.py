@@ -108,7 +108,7 @@ def put_probes(probes: Probes, trainer: L.Trainer, stage: AvatarStage) -> None:
     probes.around(stage.avatar, "forward", avatar)
     probes.around(stage.avatar, "_binding", "skinning weights and maps to rest")
     probes.around(stage.avatar, "_corrected", "pose corrections")
-    probes.around(stage.avatar, "_offsets", "blend shapes")
+    probes.around(stage.avatar, "_shaped", "joints at rest, blend shapes")
     probes.around(avatar_module, "posed_colors", "harmonics and light")
     probes.around(avatar_stage_module, "person_box", "the person's box")
     probes.around(stage._renderer, "draw", RASTERISER, not_in=surface)
