@@ -1,4 +1,7 @@
-"""Recorded functions give what the functions give; on a CPU they are the functions."""
+"""Recorded functions give what the functions give; on a CPU they are the functions.
+
+CUDA_VISIBLE_DEVICES=0 python -m pytest tests/gpu
+"""
 
 from __future__ import annotations
 

@@ -311,5 +311,10 @@ def _captured(graph: torch.cuda.CUDAGraph, pool: Any, work: Callable[[], Any]) -
 
 
 def _forget_workspaces() -> None:
-    """As `torch._inductor` and Lightning do, for want of a public name."""
-    torch._C._cuda_clearCublasWorkspaces()
+    """As `torch._inductor` and Lightning do, for want of a public name.
+
+    Where a release of torch has it no longer, recordings are dropped before a training's end all the same.
+    """
+    clear = getattr(torch._C, "_cuda_clearCublasWorkspaces", None)
+    if clear is not None:
+        clear()
