@@ -149,11 +149,10 @@ class HostRecording(graphs._Recording):
         self._function, self._count, self.is_wrong, self._call = function, 0, False, None
         own = (t.detach() if isinstance(t, nn.Parameter) else t.detach().clone() for t in inputs)
         self._inputs = [t.requires_grad_(given.requires_grad) for t, given in zip(own, inputs, strict=True)]
-        self._wanted = [k for k, tensor in enumerate(self._inputs) if tensor.requires_grad]
         outputs = function(*self._inputs)
-        self._has_gradient = [bool(self._wanted) and output.requires_grad for output in outputs]
+        self._has_gradient = [output.requires_grad for output in outputs]
         self._given = [torch.zeros_like(output) for output in outputs]
-        self._gradients = self._gradients_of(outputs, self._given) if self.is_differentiable else []
+        self._gradients = graphs._gradients(outputs, self._inputs, self._given)
         self._outputs = [output.detach().clone() for output in outputs]
         self._pending: tuple[Tensor, ...] = ()
         self._forward, self._backward = Graph(self._run), Graph(self._run_backwards)  # type: ignore[assignment]
@@ -165,7 +164,7 @@ class HostRecording(graphs._Recording):
             own.copy_(result.detach())
 
     def _run_backwards(self) -> None:
-        found = self._gradients_of(self._pending, self._given)
+        found = graphs._gradients(self._pending, self._inputs, self._given)
         for own, gradient in zip(self._gradients, found, strict=True):
             if own is not None and gradient is not None:
                 own.copy_(gradient * (1.0 + self.off))

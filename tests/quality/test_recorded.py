@@ -34,3 +34,12 @@ def test_no_pixel_in_the_masks() -> None:
     found = recorded.of_filled(*recorded.filled(a, torch.rand(30, 30, 3), nothing, nothing))
     assert [float(term.detach()) for term in found] == [0.0, 0.0]
     assert not torch.autograd.grad(sum(found), a)[0].any()
+
+
+@pytest.mark.parametrize("margin", [1, 2, 5])
+def test_the_inside_of_a_mask_by_pooling(margin: int) -> None:
+    """What lies outside of the picture has no edge there."""
+    generator = torch.Generator().manual_seed(margin)
+    for share in (0.0, 0.05, 0.5):
+        mask = torch.rand(23, 31, generator=generator) >= share
+        assert torch.equal(losses._within_by_pooling(mask, margin), losses.within(mask, margin))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import lru_cache
 from typing import Any
 from weakref import WeakSet
@@ -136,7 +136,6 @@ class _Recording:
         # of a parameter a leaf of its own, or its gradients would be summed on the stream of the recording for good
         own = (t.detach() if isinstance(t, nn.Parameter) else t.detach().clone() for t in inputs)
         self._inputs = [t.requires_grad_(given.requires_grad) for t, given in zip(own, inputs, strict=True)]
-        self._wanted = [k for k, tensor in enumerate(self._inputs) if tensor.requires_grad]
         self._function = function
         self._call: weakref.ref[_Call] | None = None
         self._count = 0
@@ -147,20 +146,20 @@ class _Recording:
         with torch.cuda.stream(stream):
             for _ in range(WARM_UPS):
                 outputs = function(*self._inputs)
-                self._gradients_of(outputs, [torch.zeros_like(o) for o in outputs])
+                _gradients(outputs, self._inputs, [torch.zeros_like(o) for o in outputs])
             del outputs
             stream.synchronize()
             self._forward = torch.cuda.CUDAGraph()
             outputs = _captured(self._forward, None, lambda: function(*self._inputs))
-            self._has_gradient = [bool(self._wanted) and output.requires_grad for output in outputs]
+            self._has_gradient = [output.requires_grad for output in outputs]
             self._given = [torch.zeros_like(output) for output in outputs]
             self._backward: torch.cuda.CUDAGraph | None = None
-            self._gradients: list[Tensor | None] = []
+            self._gradients: Gradients = ()
             if self.is_differentiable:
                 stream.synchronize()
                 self._backward, pool = torch.cuda.CUDAGraph(), self._forward.pool()
                 self._gradients = _captured(
-                    self._backward, pool, lambda: self._gradients_of(outputs, self._given)
+                    self._backward, pool, lambda: _gradients(outputs, self._inputs, self._given)
                 )
             self._outputs = [output.detach() for output in outputs]
         usual.wait_stream(stream)
@@ -199,7 +198,7 @@ class _Recording:
         return tuple(output.detach() for output in self._outputs)
 
     def _replay_gradients(self, given: Gradients) -> Gradients:
-        """Returns the gradients of all inputs; None for those that require none, or do not matter."""
+        """Returns what `_gradients` does."""
         assert self._backward is not None
         for own, has_gradient, gradient in zip(self._given, self._has_gradient, given, strict=True):
             if gradient is not None:
@@ -207,10 +206,7 @@ class _Recording:
             elif has_gradient:
                 own.zero_()
         self._backward.replay()
-        found: list[Tensor | None] = [None] * len(self._inputs)
-        for k, gradient in zip(self._wanted, self._gradients, strict=True):
-            found[k] = None if gradient is None else gradient.detach()
-        return tuple(found)
+        return tuple(None if gradient is None else gradient.detach() for gradient in self._gradients)
 
     def _checked(self, found: Gradients, wanted: Gradients) -> Any:
         """Returns what the function gives; remembers whether what was found differs from it."""
@@ -222,29 +218,19 @@ class _Recording:
         leaves = [tensor.detach().requires_grad_(tensor.requires_grad) for tensor in inputs]
         with torch.enable_grad():
             outputs = self._function(*leaves)
-        pairs = [(o, g) for o, g in zip(outputs, given, strict=True) if g is not None]
-        found: list[Tensor | None] = [None] * len(leaves)
-        if pairs:
-            wanted = [leaves[k] for k in self._wanted]
-            gradients = torch.autograd.grad(
-                [o for o, _ in pairs], wanted, [g for _, g in pairs], allow_unused=True
-            )
-            for k, gradient in zip(self._wanted, gradients, strict=True):
-                found[k] = gradient
-        return tuple(found)
+        return _gradients(outputs, leaves, given)
 
-    def _gradients_of(self, outputs: tuple[Tensor, ...], given: list[Tensor]) -> list[Tensor | None]:
-        pairs = [
-            (output, gradient)
-            for output, gradient in zip(outputs, given, strict=True)
-            if output.requires_grad
-        ]
-        if not self._wanted or not pairs:
-            return []
-        wanted = [self._inputs[k] for k in self._wanted]
-        return list(
-            torch.autograd.grad([o for o, _ in pairs], wanted, [g for _, g in pairs], allow_unused=True)
-        )
+
+def _gradients(
+    outputs: Sequence[Tensor], inputs: Sequence[Tensor], given: Sequence[Tensor | None]
+) -> Gradients:
+    """Returns the gradients of all inputs; None for those that require none, or do not matter."""
+    pairs = [(o, g) for o, g in zip(outputs, given, strict=True) if o.requires_grad and g is not None]
+    wanted = [tensor for tensor in inputs if tensor.requires_grad]
+    if not wanted or not pairs:
+        return (None,) * len(inputs)
+    found = iter(torch.autograd.grad([o for o, _ in pairs], wanted, [g for _, g in pairs], allow_unused=True))
+    return tuple(next(found) if tensor.requires_grad else None for tensor in inputs)
 
 
 class _Call:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
+from itertools import islice
 from typing import Any, NamedTuple
 
 import torch
@@ -221,11 +222,11 @@ class Avatar(nn.Module):
 
     def _posed_by_tensors(self, *tensors: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Returns what `_posed` does, from tensors alone: a `Placed`, a camera, normals, Gaussians, a lamp if any."""
-        *placed, camera_centre, normals = tensors[:7]
-        count = len(self.gaussians.tensors())
-        lamp = tensors[7 + count :]
-        gaussians = Gaussians.of(tensors[7 : 7 + count])
-        return self._posed(gaussians, Placed(*placed), camera_centre, normals, lamp[0] if lamp else None)
+        given, of_gaussians = iter(tensors), len(self.gaussians.tensors())
+        placed = Placed(*islice(given, len(Placed._fields)))
+        camera_centre, normals = islice(given, 2)
+        gaussians = Gaussians.of(tuple(islice(given, of_gaussians)))
+        return self._posed(gaussians, placed, camera_centre, normals, next(given, None))
 
     def brightness(self, carried: Carried) -> Tensor | None:
         """Returns how bright the key light makes Gaussians in a pose, `[N]`; None under even light.

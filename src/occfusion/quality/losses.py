@@ -101,9 +101,8 @@ def within(mask: Tensor, margin: int) -> Tensor:
         mask: bool `[H, W]`.
         margin: pixels; with 0 it is the mask itself.
     """
-    if mask.is_cuda and margin > 0:  # one kernel instead of two for each pixel of the margin
-        off = functional.max_pool2d((~mask)[None, None].float(), 2 * margin + 1, stride=1, padding=margin)
-        return off[0, 0] == 0
+    if mask.is_cuda and margin > 0:
+        return _within_by_pooling(mask, margin)
     inner = mask
     for axis in (0, 1):
         line, length = inner, mask.shape[axis]
@@ -112,6 +111,12 @@ def within(mask: Tensor, margin: int) -> Tensor:
             inner.narrow(axis, step, length - step).logical_and_(line.narrow(axis, 0, length - step))
             inner.narrow(axis, 0, length - step).logical_and_(line.narrow(axis, step, length - step))
     return inner
+
+
+def _within_by_pooling(mask: Tensor, margin: int) -> Tensor:
+    """Returns `within` by one kernel instead of two for each pixel of the margin: for a GPU."""
+    off = functional.max_pool2d((~mask)[None, None].float(), 2 * margin + 1, stride=1, padding=margin)
+    return off[0, 0] == 0
 
 
 def masked_mean(values: Tensor, mask: Tensor | None = None) -> Tensor:
