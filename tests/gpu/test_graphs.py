@@ -6,7 +6,7 @@ CUDA_VISIBLE_DEVICES=0 python -m pytest tests/gpu
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 import torch
@@ -18,6 +18,13 @@ from occfusion.gpu.sums import total
 
 on_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device is named")
 RECORDED = CALLS_BEFORE + 2
+
+
+@pytest.fixture(autouse=True)
+def recording() -> Iterator[None]:
+    graphs.record(True)
+    yield
+    graphs.record(False)
 
 
 class Counted:
@@ -232,7 +239,10 @@ def test_without_a_gpu_by_the_same_rules() -> None:
     other = torch.rand(2, 2)
     assert torch.equal(graphed(other, other, other)[0], Counted()(other, other, other)[0])
     assert len(graphed._recordings) == 1
-    graphs.forget_recordings()
+    graphs.record(False)
+    assert not graphed._recordings
+    for _ in range(RECORDED):
+        graphed(weight, a, b)
     assert not graphed._recordings
 
 

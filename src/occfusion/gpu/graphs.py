@@ -38,18 +38,30 @@ ROUNDING = 1e-3
 
 
 _ALL: WeakSet[GraphedFunction] = WeakSet()
+_is_on = False
 
 
-def forget_recordings() -> None:
-    """Drops the recordings of all functions, and their memory: at the end of a training, whose shapes do not return."""
-    for function in _ALL:
-        function.forget()
+def record(is_on: bool) -> None:
+    """Lets functions be recorded from now on, or no longer.
+
+    In the end all recordings are dropped, with their memory: the shapes of a training do not return.
+    """
+    global _is_on
+    _is_on = is_on
+    if not is_on:
+        for function in _ALL:
+            function.forget()
+
+
+def is_recording() -> bool:
+    """Returns whether functions may be recorded: whether what only a recording needs is worth preparing."""
+    return _is_on
 
 
 class GraphedFunction:
     """A function of CUDA tensors that is recorded where it is called again with tensors of the same shapes.
 
-    On other devices, or where it cannot be recorded, the function itself is called, and always gives the same. Results
+    On other devices, or where it cannot be recorded or is not to be (`record`), the function itself is called. Results
     of a recording are overwritten by the next call; while gradients of a call are still to come, another call runs
     the function itself.
 
@@ -74,7 +86,7 @@ class GraphedFunction:
                 others are copied.
             key: of all that the function depends on besides: calls with another key are recorded by themselves.
         """
-        if self._is_refused or not _may_be_recorded(inputs):
+        if not _is_on or self._is_refused or not _may_be_recorded(inputs):
             return self._function(*inputs)
         whole = (key, torch.is_grad_enabled(), tuple(map(_kind, inputs)))
         recording = self._recordings.get(whole)
@@ -299,7 +311,7 @@ def _captured(graph: torch.cuda.CUDAGraph, pool: Any, work: Callable[[], Any]) -
 def _forget_workspaces() -> None:
     """As `torch._inductor` and Lightning do, for want of a public name.
 
-    Where a release of torch has it no longer, recordings are dropped before a training's end all the same.
+    Where a release of torch has it no longer, recordings are dropped before that happens all the same.
     """
     clear = getattr(torch._C, "_cuda_clearCublasWorkspaces", None)
     if clear is not None:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from occfusion.gpu.graphs import is_recording
 from occfusion.quality.ssim import WINDOW, ssim_map
 
 
@@ -78,7 +79,7 @@ def l1_and_ssim(
         from occfusion.quality import fused
 
         return fused.l1_and_ssim(a, b, mask, inner)
-    if a.is_cuda and min(mask.shape) >= 2 * WINDOW:
+    if a.is_cuda and is_recording() and min(mask.shape) >= 2 * WINDOW:
         # which takes the terms from here
         from occfusion.quality import recorded
 
