@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from occfusion.cli import check
+from occfusion.cli.mending import mended_by_colour
 from occfusion.errors import ConfigError
 from occfusion.fitting.pipeline import Fit, fit_body
 from occfusion.fitting.quality import covered_share
@@ -19,7 +22,14 @@ from occfusion.human import Body, embedded_body, load_body
 from occfusion.importing.adopt import adopt
 from occfusion.importing.aligning import aligned_with_masks
 from occfusion.importing.bodies import TOOLS
-from occfusion.importing.folder import PERSON, require_free, said, training_command, write_folder
+from occfusion.importing.folder import (
+    PERSON,
+    require_free,
+    said,
+    training_command,
+    training_overrides,
+    write_folder,
+)
 from occfusion.importing.hiding import told_apart
 from occfusion.importing.mhr import is_mhr
 from occfusion.importing.sources import Choice, Given, Sources, gather
@@ -41,6 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from-person", type=int, help="the tool's number of the person (default: in most frames)"
     )
+    parser.add_argument(
+        "--no-mending", action="store_true",
+        help="leave poses where outlines have them: no training that moves them until colours agree (a body of --from "
+        "is never moved)",
+    )  # fmt: skip
     add_choice(parser)
 
 
@@ -177,7 +192,25 @@ def finish(arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body
         "body": "free body" if arguments.body is None else arguments.body.name,
         "seconds": round(time.perf_counter() - begun, 1),
     }
-    write_folder(output, sources, fit, body, embedded=arguments.body is None, facts=facts)
+    is_mended = fit.quality.trusted and arguments.given is None and not arguments.no_mending
+
+    def mend(folder: Path) -> tuple[Fit, dict[str, Any]]:
+        print("import: poses are mended by colours", file=sys.stderr, flush=True)
+        words = training_overrides(
+            folder, arguments.body, covered_share(fit.quality), numbered=sources.hidden is not None
+        )
+        found, told = mended_by_colour(body, sources, fit, folder, words, arguments.seed)
+        return found, {**told, "seconds": round(time.perf_counter() - begun, 1)}
+
+    fit = write_folder(
+        output,
+        sources,
+        fit,
+        body,
+        embedded=arguments.body is None,
+        facts=facts,
+        mend=mend if is_mended else None,
+    )
     print(said(output))
     print(f"overlay            {output / 'overlay.mp4'}, {output / 'overlay.png'}")
     words = [str(output), "--layout", "video", "--overlay", str(output / "check.png")]

@@ -10,6 +10,7 @@ import torch
 from occfusion.fitting.pipeline import Fit
 from occfusion.fitting.quality import measure
 from occfusion.human import Body
+from occfusion.human.pose_spline import PoseSpline
 from occfusion.importing.sources import Sources
 from occfusion.observation.pose_alignment import aligned_pose
 from occfusion.observation.pose_witness import Look
@@ -42,10 +43,22 @@ def aligned_with_masks(body: Body, sources: Sources, fit: Fit) -> Fit:
     alignment = align_sequence(look_at, numbers, body, KNOTS, registered=True)
     if alignment is None or not alignment.is_taken:
         return fit
-    spline = alignment.spline()
-    moved = [aligned_pose(pose, spline, body) for pose in poses]
+    return moved(body, sources, fit, alignment.spline(), numbers)
+
+
+def moved(body: Body, sources: Sources, fit: Fit, spline: PoseSpline, numbers: Sequence[int]) -> Fit:
+    """Returns the fit with corrections in its poses, measured anew.
+
+    Args:
+        body: that was fitted.
+        sources: what it was fitted to.
+        fit: the body.
+        spline: the corrections.
+        numbers: which frames of the spline the fit's are.
+    """
+    corrected = [aligned_pose(pose, spline, body) for pose in _poses_of(fit, numbers)]
     orient, turns, places = (
-        torch.stack([getattr(pose, name) for pose in moved]).double().numpy()
+        torch.stack([getattr(pose, name) for pose in corrected]).double().numpy()
         for name in ("global_orient", "body_pose", "transl")
     )
     solution = replace(fit.solution, global_orient=orient, body_pose=turns, transl=places)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
@@ -48,9 +48,16 @@ def require_free(output: Path) -> None:
 
 
 def write_folder(
-    output: Path, sources: Sources, fit: Fit, body: Body, *, embedded: bool, facts: dict[str, Any]
-) -> None:
-    """Writes cameras, poses, pictures, masks, the overlay and the report.
+    output: Path,
+    sources: Sources,
+    fit: Fit,
+    body: Body,
+    *,
+    embedded: bool,
+    facts: dict[str, Any],
+    mend: Callable[[Path], tuple[Fit, dict[str, Any]]] | None = None,
+) -> Fit:
+    """Writes cameras, poses, pictures, masks, the overlay and the report; returns the fit that is written.
 
     Args:
         output: the folder; an earlier import there is replaced.
@@ -59,21 +66,34 @@ def write_folder(
         body: that was fitted.
         embedded: whether it is the free body of the package, which is laid into the folder.
         facts: more of the report: where each part comes from.
+        mend: takes the folder of what is not whole yet, with all that training needs; gives the fit to be written
+            instead, and facts of it.
 
     Raises:
         DataError: it cannot be written.
     """
     require_free(output)
     output.parent.mkdir(parents=True, exist_ok=True)
-    with _unfinished(output.with_name(f".{output.name}.partial"), output) as partial:
-        _write_fit(partial, sources, fit, body, embedded, 1.0)
+    with _unfinished(partial_of(output), output) as partial:
+        _write_bodies(partial, sources, fit, body, embedded, 1.0)
         for k, picture in enumerate(sources.shot.pictures):
             write_png(partial / "images" / f"{k:06d}.png", picture)
             write_png(partial / "masks" / f"{k:06d}.png", _numbered(sources, k))
+        if mend is not None:
+            fit, mended = mend(partial)
+            facts = {**facts, **mended}
+            _write_poses(partial, fit)
+        _write_overlay(partial, sources, fit, body)
         _write_report(partial / REPORT, {**facts, **_report(sources, fit)})
         if output.exists():
             shutil.rmtree(output)
         partial.rename(output)
+    return fit
+
+
+def partial_of(output: Path) -> Path:
+    """Returns the folder that holds an import until it is whole."""
+    return output.with_name(f".{output.name}.partial")
 
 
 def write_bodies(
@@ -88,7 +108,8 @@ def write_bodies(
     """
     output.mkdir(parents=True, exist_ok=True)
     with _unfinished(output / ".fit.partial", output) as partial:
-        _write_fit(partial, sources, fit, body, embedded, sources.shot.scale)
+        _write_bodies(partial, sources, fit, body, embedded, sources.shot.scale)
+        _write_overlay(partial, sources, fit, body)
         _write_report(partial / FIT_REPORT, {**facts, **_report(sources, fit)})
         if (output / "cameras.npz").exists():
             (partial / "cameras.npz").unlink()
@@ -110,20 +131,27 @@ def _unfinished(partial: Path, output: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _write_fit(folder: Path, sources: Sources, fit: Fit, body: Body, embedded: bool, scale: float) -> None:
-    """Writes the camera of pictures that are 1 / `scale` as large, poses, the free body and the overlay."""
+def _write_bodies(folder: Path, sources: Sources, fit: Fit, body: Body, embedded: bool, scale: float) -> None:
+    """Writes the camera of pictures that are 1 / `scale` as large, poses, and the free body."""
     width, height = (round(length / scale) for length in sources.shot.size)
-    solution = fit.solution
-    K = np.diag([1 / scale, 1 / scale, 1.0]) @ solution.K
+    K = np.diag([1 / scale, 1 / scale, 1.0]) @ fit.solution.K
     with atomic_write(folder / "cameras.npz") as stream:
         np.savez(stream, intrinsic=K, extrinsic=np.eye(4), height=height, width=width, pixel_centres=0.5)
+    _write_poses(folder, fit)
+    if embedded:
+        write_bytes(folder / "body.npz", asset_bytes(EMBEDDED_BODY))
+
+
+def _write_poses(folder: Path, fit: Fit) -> None:
+    solution = fit.solution
     with atomic_write(folder / "poses.npz") as stream:
         np.savez(
             stream, betas=solution.betas, global_orient=solution.global_orient, body_pose=solution.body_pose,
             transl=solution.transl,
         )  # fmt: skip
-    if embedded:
-        write_bytes(folder / "body.npz", asset_bytes(EMBEDDED_BODY))
+
+
+def _write_overlay(folder: Path, sources: Sources, fit: Fit, body: Body) -> None:
     times = np.asarray(sources.shot.seconds)
     gap = float(np.median(np.diff(times))) if len(times) > 1 and not sources.clip.pictures else 0.1
     write_frames(
@@ -211,6 +239,8 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"{said('median_mask_inside_body', 100)} % of the mask inside (median)",
         f"doubtful frames    {len(doubtful)}" + (f": {ranges(doubtful)}" if doubtful else ""),
     ]
+    if (mended := report.get("mended_by_colour")) is not None:
+        lines.append(f"colours            {mended['said']}")
     if report["left_and_right_exchanged"]:
         lines.append(f"sides exchanged    {ranges(report['left_and_right_exchanged'])}")
     lines += [f"note               {note}" for note in report["notes"]]
@@ -228,14 +258,31 @@ def training_command(
 ) -> str:
     """Returns the command that trains on a folder, the last frames held out."""
     cut = max(1, round((1 - HELD_OUT) * frames))
-    parts = [
-        f"python train.py dataset=video {quote(f'dataset.root={output.parent}')} "
-        f"{quote(f'dataset.scene={output.name}')}",
-        "body=anny" if body is None else quote(f"body.path={body}"),
-        f"'dataset.test_cameras=[0]' 'dataset.train_frames=[0,{cut},1]' 'dataset.test_frames=[{cut},{frames},1]'",
+    named = training_overrides(output, body, covered, numbered=numbered)
+    chosen = [
+        "dataset.test_cameras=[0]",
+        f"dataset.train_frames=[0,{cut},1]",
+        f"dataset.test_frames=[{cut},{frames},1]",
     ]
+    lines = [["python", "train.py", *named[:3]], chosen, named[3:]]
+    return " \\\n    ".join(" ".join(map(quote, words)) for words in lines)
+
+
+def training_overrides(
+    folder: Path, body: Path | None, covered: float | None, *, numbered: bool = False
+) -> list[str]:
+    """Returns the overrides that name a folder to training, but for the frames.
+
+    Args:
+        folder: of an import.
+        body: an SMPL file; None for the free body.
+        covered: share of the body that masks cover, median; None where that is not known.
+        numbered: whether its masks number the person and what stands before them.
+    """
+    words = ["dataset=video", f"dataset.root={folder.parent}", f"dataset.scene={folder.name}"]
+    words.append("body=anny" if body is None else f"body.path={body}")
     if covered is not None and covered >= COVERED:
-        parts.append("dataset.occluded=false")
+        words.append("dataset.occluded=false")
     if numbered:
-        parts.append(f"dataset.person={PERSON}")
-    return " \\\n    ".join(parts)
+        words.append(f"dataset.person={PERSON}")
+    return words
