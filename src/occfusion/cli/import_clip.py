@@ -52,9 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from-person", type=int, help="the tool's number of the person (default: in most frames)"
     )
     parser.add_argument(
-        "--no-mending", action="store_true",
-        help="leave poses where outlines have them: no training that moves them until colours agree (a body of --from "
-        "is never moved)",
+        "--mending", choices=("auto", "on", "off"), default="auto",
+        help="move poses until the colours of all frames agree, by a short training; auto: those of an own fit, not "
+        "those of --from (default: auto)",
     )  # fmt: skip
     add_choice(parser)
 
@@ -156,7 +156,7 @@ def run(arguments: argparse.Namespace) -> int:
                 file, tool, sources, body,
                 embedded=arguments.body is None, person=arguments.from_person,
             )  # fmt: skip
-    return finish(arguments, sources, fit, body, begun)
+    return finish(arguments, sources, fit, body, begun, is_own=file is None)
 
 
 def fit_sources(
@@ -183,8 +183,13 @@ def fit_sources(
     return sources, aligned_with_masks(body, sources, fit)
 
 
-def finish(arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body, begun: float) -> int:
-    """Writes the folder, prints the report, checks the folder, and prints the command that trains on it."""
+def finish(
+    arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body, begun: float, *, is_own: bool
+) -> int:
+    """Writes the folder, prints the report, checks the folder, and prints the command that trains on it.
+
+    Poses are mended by colours on the way, where that is asked of a fit of our own or of another tool's body.
+    """
     output = arguments.output
     facts = {
         "clip": sources.clip.path.name,
@@ -192,7 +197,7 @@ def finish(arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body
         "body": "free body" if arguments.body is None else arguments.body.name,
         "seconds": round(time.perf_counter() - begun, 1),
     }
-    is_mended = fit.quality.trusted and arguments.given is None and not arguments.no_mending
+    is_asked = {"auto": is_own, "on": True, "off": False}[arguments.mending]
 
     def mend(folder: Path) -> tuple[Fit, dict[str, Any]]:
         print("import: poses are mended by colours", file=sys.stderr, flush=True)
@@ -209,7 +214,7 @@ def finish(arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body
         body,
         embedded=arguments.body is None,
         facts=facts,
-        mend=mend if is_mended else None,
+        mend=mend if is_asked and fit.quality.trusted else None,
     )
     print(said(output))
     print(f"overlay            {output / 'overlay.mp4'}, {output / 'overlay.png'}")

@@ -36,7 +36,7 @@ LOST = 0.01
 """Of the overlap of body and mask: corrections that cost more are not taken."""
 OVERRIDES = (
     # visible pixels alone: what is hidden says nothing of a pose
-    "variant=A", "stage=optim", "optim.lambda_lpips=0",
+    "variant=A", "stage=optim", "optim.lambda_lpips=0", "optim.gaussians=0",
     # corrections begin at nothing, since the fit is aligned with outlines, and free of the reach that these would give
     "optim.align_poses=false", "optim.refine_pose=false", "optim.learn_skinning=false", f"optim.pose_knots={KNOTS}",
     # fast at first, and dying away: at one rate corrections keep trembling, and the avatar is blurred by it

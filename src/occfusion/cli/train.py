@@ -6,7 +6,6 @@ import contextlib
 import os
 import sys
 import traceback
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -177,10 +176,6 @@ def _job_of_many(config: DictConfig, overrides: list[str], number: int, state: _
 
 
 def _job(config: DictConfig, overrides: list[str], number: int) -> JobRecord:
-    # Lightning's advice on worker counts and missing loggers does not apply to these loaders
-    warnings.filterwarnings("ignore", module="lightning.*")
-    # nor does DDP's on the memory layout of small gradients
-    warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
     chosen = any(override.lstrip("+").startswith("output_dir=") for override in overrides)
     called = " ".join(overrides)
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from occfusion.human.kernels import compile_meanwhile
 from occfusion.plan.idle import idle_settings
 from occfusion.report.page import write_report
 from occfusion.report.tables import print_summary
-from occfusion.run.environment import check_machine
+from occfusion.run.environment import check_machine, quiet_lightning
 from occfusion.run.evaluation import PICTURE_FRAMES, evaluate_run
 from occfusion.run.folder import at_work, finished_in, identify, record_finished
 from occfusion.run.keepsakes import write_before_after, write_turntable
@@ -50,7 +49,7 @@ def run_in_folder(
         OccfusionError: anything that the user can mend, before training where it can be known before.
         Interrupted: a signal stopped it; the same command continues.
     """
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    quiet_lightning()
     settings = load_settings(config)
     check_logger(settings.logger)
     check_machine(settings)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import platform
 import shutil
 import subprocess
 import sys
+import warnings
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -24,6 +26,15 @@ PACKAGES = (
 )  # fmt: skip
 ROOM_MB = 48
 """A run writes three checkpoints and avatars of some 5 MB each at least, and pictures."""
+
+
+def quiet_lightning() -> None:
+    """Leaves out what Lightning says of each training, and advice that does not apply here."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    # worker counts and missing loggers: these loaders have neither
+    warnings.filterwarnings("ignore", module="lightning.*")
+    # DDP's on the memory layout of small gradients
+    warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
 
 
 def check_machine(settings: Settings) -> None:

@@ -6,6 +6,7 @@ import lightning as L
 
 from occfusion.human.kernels import compile_meanwhile
 from occfusion.human.pose_spline import PoseSpline
+from occfusion.run.environment import quiet_lightning
 from occfusion.run.folder import at_work
 from occfusion.run.prepare import build, claim, decide, make_renderer, observe
 from occfusion.settings.schema import Settings
@@ -21,6 +22,7 @@ def learned_corrections(settings: Settings) -> PoseSpline | None:
         OccfusionError: anything that the user can mend.
         Interrupted: a signal stopped it.
     """
+    quiet_lightning()
     L.seed_everything(settings.seed, verbose=False)
     compile_meanwhile(make_renderer(settings))
     observed = observe(settings)
