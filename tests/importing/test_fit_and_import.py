@@ -1,12 +1,15 @@
-"""`fit` from files alone: key points, masks and a camera in, poses, figures and an overlay out."""
+"""`fit` and `import` from files alone: key points, masks and a camera in, poses, figures and an overlay out."""
 
 from __future__ import annotations
 
 import json
+import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from hydra import compose, initialize_config_dir
 
 from occfusion.__main__ import main
 from occfusion.files.atomic import write_png
@@ -17,8 +20,10 @@ from occfusion.fitting.quality import silhouette
 from occfusion.footage.landmarks import INDEX
 from occfusion.human import embedded_body
 from occfusion.importing.keypoints import COCO
+from occfusion.run import app
 from occfusion.synth.motion import make_take
 
+CONF = Path(__file__).parents[2] / "conf"
 FRAMES, WIDTH, HEIGHT, FOCAL = 8, 96, 128, 150.0
 
 
@@ -85,3 +90,31 @@ def test_poses_that_are_not_of_a_fit_are_left_alone(given, tmp_path, capsys):
     assert "is there already" in capsys.readouterr().err
     assert main(words) == 1
     assert "--output" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_an_import_from_files_alone_is_mended_and_can_be_trained_on(given, tmp_path, monkeypatch, capsys):
+    folder, _ = given
+    monkeypatch.setitem(__import__("sys").modules, "ai_edge_litert", None)
+    words = [
+        "import", str(folder / "clip" / "images"), "--keypoints", str(folder / "coco.json"),
+        "--masks", str(folder / "clip" / "masks"), "--camera", str(folder / "clip" / "cameras.npz"),
+    ]  # fmt: skip
+    assert main([*words, "--output", str(tmp_path / "plain"), "--mending", "off"]) == 0
+    assert "colours  " not in capsys.readouterr().out
+    assert main([*words, "--output", str(tmp_path / "mended")]) == 0
+    out = capsys.readouterr().out
+    assert "colours  " in out and "Lightning" not in out and "plan" not in out
+    plain, mended = (load_json(tmp_path / name / "import.json") for name in ("plain", "mended"))
+    assert "mended_by_colour" not in plain and mended["trusted"]
+    assert mended["median_mask_iou"] > plain["median_mask_iou"] - 0.01
+    is_moved = not np.array_equal(
+        *(np.load(tmp_path / name / "poses.npz")["transl"] for name in ("plain", "mended"))
+    )
+    assert mended["mended_by_colour"]["taken"] == is_moved
+    assert {path.name for path in tmp_path.iterdir()} == {"plain", "mended"}  # no run folder is left
+
+    printed = shlex.split(out[out.index("python train.py") :].replace("\\\n", " "))[2:]
+    overrides = [*printed, "trainer.fast_dev_run=true", f"output_dir={tmp_path / 'run'}"]
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        app.run(compose("config", overrides), folder_chosen_by_user=True)
