@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -33,6 +34,8 @@ SHEET = 8
 """Pictures on the overlay sheet."""
 HELD_OUT = 0.2
 """Share of the frames, the last, that the printed command holds out for evaluation."""
+NO_WORD = re.compile(r"null|true|false|[+-]?(nan|inf|[\d._]+(e[+-]?\d+)?)", re.IGNORECASE)
+"""What Hydra takes for nothing, a truth value or a number, and writes otherwise."""
 COVERED = 0.85
 """Share of the body that masks cover, median, from which on nothing stands before the person."""
 
@@ -279,10 +282,25 @@ def training_overrides(
         covered: share of the body that masks cover, median; None where that is not known.
         numbered: whether its masks number the person and what stands before them.
     """
-    words = ["dataset=video", f"dataset.root={folder.parent}", f"dataset.scene={folder.name}"]
-    words.append("body=anny" if body is None else f"body.path={body}")
+    words = [
+        "dataset=video",
+        _override("dataset.root", folder.parent),
+        _override("dataset.scene", folder.name),
+    ]
+    words.append("body=anny" if body is None else _override("body.path", body))
     if covered is not None and covered >= COVERED:
         words.append("dataset.occluded=false")
     if numbered:
         words.append(f"dataset.person={PERSON}")
     return words
+
+
+def _override(key: str, value: Path | str) -> str:
+    """Returns an override of Hydra's, its value in quotes where the grammar would read something else."""
+    text = str(value)
+    is_plain = re.fullmatch(r"[\w./-]+", text) and not NO_WORD.fullmatch(text)
+    if is_plain or text.isdecimal():
+        return f"{key}={text}"
+    inner = re.sub(r"(\\*)('|$)", lambda found: 2 * found[1] + found[2].replace("'", "\\'"), text)
+    inner = inner.replace("${", "\\${")
+    return f"{key}='{inner}'"
