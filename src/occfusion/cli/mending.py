@@ -18,6 +18,7 @@ from occfusion.fitting.pipeline import Fit
 from occfusion.fitting.solver import Solution
 from occfusion.human import Body
 from occfusion.importing.aligning import moved
+from occfusion.importing.folder import named
 from occfusion.importing.sources import Sources
 
 INTERRUPTED = 130
@@ -27,7 +28,7 @@ FEWEST_FRAMES = 8
 STEPS, FEWEST_STEPS = 20, 600
 """Of training, for each frame, and at least."""
 HEIGHT = 80
-"""Pixels that a person is high in the pictures that are trained on: more costs more and mends no better."""
+"""Pixels that a person is high in the pictures that are trained on: more mend no better (experiment 061)."""
 KNOTS = 2
 """Frames from one knot of the corrections to the next."""
 SMALLEST = 96
@@ -81,7 +82,8 @@ def mended_by_colour(
     ):
         words = [
             *overrides, *OVERRIDES, f"dataset.image_size={picture_size(sources)}", f"seed={seed}",
-            f"optim.steps={max(FEWEST_STEPS, STEPS * count)}", f"output_dir={place}/run", f"shared_dir={place}/shared",
+            f"optim.steps={max(FEWEST_STEPS, STEPS * count)}", named("output_dir", f"{place}/run"),
+            named("shared_dir", f"{place}/shared"),
             # every frame is learned from; one must be held out, and is not looked at
             "dataset.test_cameras=[0]", f"dataset.train_frames=[0,{count},1]",
             f"dataset.test_frames=[{count - 1},{count},1]",
@@ -98,7 +100,7 @@ def mended_by_colour(
             return fit, _told(False, f"poses are not mended: {error}")
     if spline is None:
         return fit, _told(False, "poses fit the masks, nothing is mended")
-    found = moved(body, sources, fit, spline.requires_grad_(False), range(count))
+    found = moved(body, sources, fit, spline.cpu().requires_grad_(False), range(count))
     before, after = (float(np.nanmedian(one.quality.iou)) for one in (fit, found))
     turn, place_off = _moved_by(fit.solution, found.solution)
     said = f"{turn:.1f} degrees a joint, {1e3 * place_off:.0f} mm of place (mean)"

@@ -284,10 +284,10 @@ def training_overrides(
     """
     words = [
         "dataset=video",
-        _override("dataset.root", folder.parent),
-        _override("dataset.scene", folder.name),
+        named("dataset.root", folder.parent),
+        named("dataset.scene", folder.name),
     ]
-    words.append("body=anny" if body is None else _override("body.path", body))
+    words.append("body=anny" if body is None else named("body.path", body))
     if covered is not None and covered >= COVERED:
         words.append("dataset.occluded=false")
     if numbered:
@@ -295,7 +295,7 @@ def training_overrides(
     return words
 
 
-def _override(key: str, value: Path | str) -> str:
+def named(key: str, value: Path | str) -> str:
     """Returns an override of Hydra's, its value in quotes where the grammar would read something else."""
     text = str(value)
     is_plain = re.fullmatch(r"[\w./-]+", text) and not NO_WORD.fullmatch(text)
