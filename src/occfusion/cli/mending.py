@@ -18,7 +18,7 @@ from occfusion.fitting.pipeline import Fit
 from occfusion.fitting.solver import Solution
 from occfusion.human import Body
 from occfusion.importing.aligning import moved
-from occfusion.importing.folder import named
+from occfusion.importing.folder import override
 from occfusion.importing.sources import Sources
 
 INTERRUPTED = 130
@@ -82,8 +82,8 @@ def mended_by_colour(
     ):
         words = [
             *overrides, *OVERRIDES, f"dataset.image_size={picture_size(sources)}", f"seed={seed}",
-            f"optim.steps={max(FEWEST_STEPS, STEPS * count)}", named("output_dir", f"{place}/run"),
-            named("shared_dir", f"{place}/shared"),
+            f"optim.steps={max(FEWEST_STEPS, STEPS * count)}", override("output_dir", f"{place}/run"),
+            override("shared_dir", f"{place}/shared"),
             # every frame is learned from; one must be held out, and is not looked at
             "dataset.test_cameras=[0]", f"dataset.train_frames=[0,{count},1]",
             f"dataset.test_frames=[{count - 1},{count},1]",

@@ -77,7 +77,7 @@ def write_folder(
     """
     require_free(output)
     output.parent.mkdir(parents=True, exist_ok=True)
-    with _unfinished(partial_of(output), output) as partial:
+    with _unfinished(output.with_name(f".{output.name}.partial"), output) as partial:
         _write_bodies(partial, sources, fit, body, embedded, 1.0)
         for k, picture in enumerate(sources.shot.pictures):
             write_png(partial / "images" / f"{k:06d}.png", picture)
@@ -92,11 +92,6 @@ def write_folder(
             shutil.rmtree(output)
         partial.rename(output)
     return fit
-
-
-def partial_of(output: Path) -> Path:
-    """Returns the folder that holds an import until it is whole."""
-    return output.with_name(f".{output.name}.partial")
 
 
 def write_bodies(
@@ -261,14 +256,14 @@ def training_command(
 ) -> str:
     """Returns the command that trains on a folder, the last frames held out."""
     cut = max(1, round((1 - HELD_OUT) * frames))
-    named = training_overrides(output, body, covered, numbered=numbered)
-    chosen = [
+    words = training_overrides(output, body, covered, numbered=numbered)
+    frames_of_each = [
         "dataset.test_cameras=[0]",
         f"dataset.train_frames=[0,{cut},1]",
         f"dataset.test_frames=[{cut},{frames},1]",
     ]
-    lines = [["python", "train.py", *named[:3]], chosen, named[3:]]
-    return " \\\n    ".join(" ".join(map(quote, words)) for words in lines)
+    lines = [["python", "train.py", *words[:3]], frames_of_each, words[3:]]
+    return " \\\n    ".join(" ".join(map(quote, line)) for line in lines)
 
 
 def training_overrides(
@@ -284,10 +279,10 @@ def training_overrides(
     """
     words = [
         "dataset=video",
-        named("dataset.root", folder.parent),
-        named("dataset.scene", folder.name),
+        override("dataset.root", folder.parent),
+        override("dataset.scene", folder.name),
     ]
-    words.append("body=anny" if body is None else named("body.path", body))
+    words.append("body=anny" if body is None else override("body.path", body))
     if covered is not None and covered >= COVERED:
         words.append("dataset.occluded=false")
     if numbered:
@@ -295,7 +290,7 @@ def training_overrides(
     return words
 
 
-def named(key: str, value: Path | str) -> str:
+def override(key: str, value: Path | str) -> str:
     """Returns an override of Hydra's, its value in quotes where the grammar would read something else."""
     text = str(value)
     is_plain = re.fullmatch(r"[\w./-]+", text) and not NO_WORD.fullmatch(text)
