@@ -15,7 +15,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from scipy.spatial.transform import Rotation
 
-from occfusion.cli.mending import mended_by_colour, picture_size
+from occfusion.cli.mending import mended_by_colour
 from occfusion.data.module import HumanDataModule
 from occfusion.errors import DataError
 from occfusion.fitting.pipeline import Fit
@@ -178,14 +178,3 @@ def test_a_signal_stops_the_import(filmed, tmp_path, monkeypatch, number, raised
     with pytest.raises(raised):
         mended_with(filmed, tmp_path, Interrupted(number, "nowhere"), monkeypatch)
     assert not any(path.is_file() or path.name.startswith(".") for path in tmp_path.rglob("*"))
-
-
-def test_pictures_are_as_large_as_the_person_needs():
-    mask = np.zeros((360, 640), bool)
-    mask[100:340, 300:380] = True
-    shot = Shot([np.zeros((360, 640, 3), np.uint8)] * 2, [0, 1], [0.0, 0.1], 1.0, [])
-    assert picture_size(SimpleNamespace(masks=[mask, mask], shot=shot)) == 213  # 80 of 240 rows
-    mask[:] = False
-    mask[100:110, 300:304] = True
-    assert picture_size(SimpleNamespace(masks=[mask, mask], shot=shot)) == 640  # no more than there is
-    assert picture_size(SimpleNamespace(masks=[np.zeros_like(mask), mask], shot=shot)) == 640

@@ -175,7 +175,8 @@ def test_a_run_from_before_settings_were_removed_is_read(train: Train) -> None:
     folder, _ = train("optim.steps=2")
     expected, config = load_run(folder), OmegaConf.load(folder / "config.yaml")
     earlier = {"trainer.strategy": "auto", "optim.lambda_correction": 0.0, "refine.lambda_correction": 0.0,
-               "optim.sds.start_step": 0, "optim.sh_frame": "canonical"}  # fmt: skip
+               "optim.sds.start_step": 0, "optim.sh_frame": "canonical", "prior.completion.draws": 2,
+               "prior.completion.samples": 4, "prior.completion.steps": 6, "prior.completion.seed": 0}  # fmt: skip
     for key, value in earlier.items():
         OmegaConf.update(config, key, value)
     OmegaConf.save(config, folder / "config.yaml")

@@ -24,6 +24,9 @@ from occfusion.importing.aligning import aligned_with_masks
 from occfusion.importing.bodies import TOOLS
 from occfusion.importing.folder import (
     PERSON,
+    TRAINED_HEIGHT,
+    TRAINED_SIZE,
+    picture_size,
     require_free,
     said,
     training_command,
@@ -233,8 +236,13 @@ def finish(
     if failed:
         return failed
     command = training_command(
-        output, len(sources.shot), arguments.body, covered_share(fit.quality), numbered=sources.hidden is not None
-    )  # fmt: skip
+        output,
+        len(sources.shot),
+        arguments.body,
+        covered_share(fit.quality),
+        picture_size(sources, TRAINED_HEIGHT, TRAINED_SIZE),
+        numbered=sources.hidden is not None,
+    )
     print(f"\nTrain on it; the last fifth of the frames is held out:\n\n{command}")
     return 0
 

@@ -18,7 +18,7 @@ from occfusion.fitting.pipeline import Fit
 from occfusion.fitting.solver import Solution
 from occfusion.human import Body
 from occfusion.importing.aligning import moved
-from occfusion.importing.folder import override
+from occfusion.importing.folder import override, picture_size
 from occfusion.importing.sources import Sources
 
 INTERRUPTED = 130
@@ -41,7 +41,7 @@ OVERRIDES = (
     # corrections begin at nothing, since the fit is aligned with outlines, and free of the reach that these would give
     "optim.align_poses=false", "optim.refine_pose=false", "optim.learn_skinning=false", f"optim.pose_knots={KNOTS}",
     # fast at first, and dying away: at one rate corrections keep trembling, and the avatar is blurred by it
-    "optim.rates.pose_turns=1e-3", "optim.rates.pose_places=3e-4", "optim.rates_at_end=0.01",
+    "optim.rates.pose_turns=3e-3", "optim.rates.pose_places=6e-4", "optim.rates_at_end=0.01",
     "evaluation.curve=false", "evaluation.perceptual=false", "logger=csv",
 )  # fmt: skip
 
@@ -81,7 +81,7 @@ def mended_by_colour(
         initialize_config_dir(str(find_config_dir()), version_base="1.3"),
     ):
         words = [
-            *overrides, *OVERRIDES, f"dataset.image_size={picture_size(sources)}", f"seed={seed}",
+            *overrides, *OVERRIDES, f"dataset.image_size={picture_size(sources, HEIGHT, SMALLEST)}", f"seed={seed}",
             f"optim.steps={max(FEWEST_STEPS, STEPS * count)}", override("output_dir", f"{place}/run"),
             override("shared_dir", f"{place}/shared"),
             # every frame is learned from; one must be held out, and is not looked at
@@ -109,13 +109,6 @@ def mended_by_colour(
             False, f"poses would move by {said}, but off the masks (IoU {before:.3f} to {after:.3f})"
         )
     return found, _told(True, f"poses mended by {said}", degrees=turn, metres=place_off)
-
-
-def picture_size(sources: Sources) -> int:
-    """Returns the longer side of pictures in which the person is as high as is needed, at most that of the clip's."""
-    heights = [np.ptp(rows) + 1 for mask in sources.masks if len(rows := np.flatnonzero(mask.any(axis=1)))]
-    side = max(sources.shot.size)
-    return int(np.clip(round(side * HEIGHT / float(np.median(heights))), min(SMALLEST, side), side))
 
 
 def _moved_by(before: Solution, after: Solution) -> tuple[float, float]:

@@ -34,6 +34,10 @@ SHEET = 8
 """Pictures on the overlay sheet."""
 HELD_OUT = 0.2
 """Share of the frames, the last, that the printed command holds out for evaluation."""
+TRAINED_SIZE = 512
+"""Pixels of the longer side of training pictures, `dataset.image_size` where it is not named."""
+TRAINED_HEIGHT = 200
+"""Pixels that a person is high in training pictures, at least, where the clip has as many."""
 NO_WORD = re.compile(r"null|true|false|[+-]?(nan|inf|[\d._]+(e[+-]?\d+)?)", re.IGNORECASE)
 """What Hydra takes for nothing, a truth value or a number, and writes otherwise."""
 COVERED = 0.85
@@ -251,12 +255,36 @@ def said(folder: Path, name: str = "import.txt") -> str:
     return (folder / name).read_text(encoding="utf-8").rstrip()
 
 
+def picture_size(sources: Sources, height: int, least: int) -> int:
+    """Returns the longer side, pixels, of pictures in which the person is `height` high, at most that of the clip's.
+
+    Args:
+        sources: pictures and masks of the person.
+        height: pixels, of the median frame.
+        least: pixels, of the longer side.
+    """
+    heights = [np.ptp(rows) + 1 for mask in sources.masks if len(rows := np.flatnonzero(mask.any(axis=1)))]
+    side = max(sources.shot.size)
+    return int(np.clip(round(side * height / float(np.median(heights))), min(least, side), side))
+
+
 def training_command(
-    output: Path, frames: int, body: Path | None, covered: float | None, *, numbered: bool = False
+    output: Path, frames: int, body: Path | None, covered: float | None, size: int, *, numbered: bool = False
 ) -> str:
-    """Returns the command that trains on a folder, the last frames held out."""
+    """Returns the command that trains on a folder, the last frames held out.
+
+    Args:
+        output: the folder.
+        frames: that it has.
+        body: an SMPL file; None for the free body.
+        covered: share of the body that masks cover, median; None where that is not known.
+        size: pixels of the longer side of training pictures.
+        numbered: whether its masks number the person and what stands before them.
+    """
     cut = max(1, round((1 - HELD_OUT) * frames))
     words = training_overrides(output, body, covered, numbered=numbered)
+    if size > TRAINED_SIZE:
+        words.append(f"dataset.image_size={size}")
     frames_of_each = [
         "dataset.test_cameras=[0]",
         f"dataset.train_frames=[0,{cut},1]",

@@ -19,6 +19,8 @@ ENOUGH = 4.0
 
 Half of the Gaussians that are seen at all have enough: few pixels for many Gaussians leave no better ones to ask.
 """
+SOME = 0.1
+"""Pixels, summed over frames, from which on a Gaussian counts among those that are seen at all."""
 NEIGHBOURS = 6
 MIRROR_DISTANCE = 0.03
 """Metres that a neighbour on the other side of the body counts as farther away."""
@@ -35,12 +37,10 @@ class Accumulated:
         colors: mean observed colour, `[N, 3]`, 0..1, under even light; where little was seen, that of what was
             seen nearby or at the mirrored place of the body.
         weights: visible pixels that each Gaussian made up, summed over all frames, `[N]`.
-        in_front: the part of them where it belonged to what is in front, and did not shine through it, `[N]`.
     """
 
     colors: Tensor
     weights: Tensor
-    in_front: Tensor
 
     @property
     def seen(self) -> Tensor:
@@ -49,7 +49,12 @@ class Accumulated:
 
 
 def accumulate(
-    avatar: Avatar, frames: Iterable[Frame], renderer: Renderer, opacity: float | None = None
+    avatar: Avatar,
+    frames: Iterable[Frame],
+    renderer: Renderer,
+    opacity: float | None = None,
+    *,
+    through: bool = True,
 ) -> Accumulated:
     """Returns the colours that the visible pixels of `frames` show of the avatar's Gaussians.
 
@@ -63,10 +68,12 @@ def accumulate(
         frames: with their visible masks.
         renderer: draws the avatar.
         opacity: of all Gaussians, where the avatar has not learned its own yet; None: its own.
+        through: whether what shines through what is in front counts as seen. It has the colours of that; where a
+            person does not turn, no other frame says better.
     """
     count = avatar.gaussians.num_gaussians
     means = avatar.gaussians.means.detach()
-    weights, in_front, sums = means.new_zeros(count), means.new_zeros(count), means.new_zeros(count, 3)
+    weights, sums = means.new_zeros(count), means.new_zeros(count, 3)
     for frame in frames:
         with torch.no_grad():
             carried = avatar.deform(frame.pose.to(means.device))
@@ -84,11 +91,11 @@ def accumulate(
         (seen,) = torch.autograd.grad(rgb, colors, asked, retain_graph=True)
         (observed,) = torch.autograd.grad(rgb, colors, visible[..., None] * frame.rgb.to(rgb))
         behind = depths - seen[:, 1] / seen[:, 0].clamp(min=1e-9)
-        weights += seen[:, 0]
-        in_front += seen[:, 0] * torch.sigmoid((BEHIND - behind) / BLUR)
-        sums += observed if shade is None else observed / shade[:, None]
+        counts = torch.ones_like(behind) if through else torch.sigmoid((BEHIND - behind) / BLUR)
+        weights += counts * seen[:, 0]
+        sums += counts[:, None] * (observed if shade is None else observed / shade[:, None])
     colors = sums / weights.clamp(min=1e-6)[:, None]
-    return Accumulated(with_neighbours(colors, weights, means), weights, in_front)
+    return Accumulated(with_neighbours(colors, weights, means), weights)
 
 
 @torch.no_grad()
@@ -119,9 +126,8 @@ def learning_shares(avatar: Avatar, accumulated: Accumulated) -> Tensor:
     As large as the share of what frames show there. What only shines through has gradients of next to nothing, but
     Adam takes full steps by them: over a training they would carry such colours anywhere.
     """
-    count = len(avatar.da_vertices)
-    total = accumulated.in_front.new_zeros(count)
-    return known_share(total.index_add(0, avatar.gaussians.vertex_index, accumulated.in_front))
+    total = accumulated.weights.new_zeros(len(avatar.da_vertices))
+    return known_share(total.index_add(0, avatar.gaussians.vertex_index, accumulated.weights))
 
 
 def known_share(weights: Tensor) -> Tensor:
@@ -130,7 +136,7 @@ def known_share(weights: Tensor) -> Tensor:
 
 
 def _enough(weights: Tensor) -> float:
-    some = weights[weights > 0]
+    some = weights[weights > SOME]
     return min(ENOUGH, float(some.median())) if len(some) else ENOUGH
 
 

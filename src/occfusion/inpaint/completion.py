@@ -7,7 +7,6 @@ frame by frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from occfusion.fields import setting, with_default
+from occfusion.fields import setting
 from occfusion.files.atomic import write_bytes, write_png
 from occfusion.geometry.neighbours import nearest
 from occfusion.human.avatar import Avatar
@@ -25,17 +24,17 @@ from occfusion.human.unfolded import UnfoldedBody
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.completion_net import (
     FILLED,
+    LEAST_SPREAD,
     SIDES,
     SIZE,
     completion_planes,
-    from_signal,
     load_completion_net,
 )
-from occfusion.priors.embedded.diffusion import posterior_mean, sample
-from occfusion.priors.embedded.silhouette_prior import EmbeddedSettings
 
 NEIGHBOURS = 4
 """Gaussians that speak for a vertex, and vertices that speak for a Gaussian."""
+MOST_SPREAD = 0.5
+"""Standard deviation of a colour, 0..1, at most."""
 CLOSE = 0.003
 """Metres added to distances, so that a Gaussian on a vertex does not count infinitely."""
 
@@ -44,10 +43,6 @@ CLOSE = 0.003
 class CompletionSettings:
     """Settings of the completion of colours."""
 
-    draws: int = setting(2, "evaluations of the posterior mean, each with other noise", 1)
-    samples: int = setting(4, "posterior samples, whose spread says how sure the colours are; 0: not told", 0)
-    steps: int = setting(6, "evaluations for each sample", 1)
-    seed: int = with_default(EmbeddedSettings, "seed", 0)
     weights: str | None = setting(
         None, "a `.safetensors` file of `stage=prior prior_training=completion`; null: the package's"
     )
@@ -61,21 +56,21 @@ class Completion:
         filled: by what is seen nearby, `[V, 3]`, 0..1.
         seen: how well each vertex is known, `[V]`, 0..1.
         colors: completed, `[V, 3]`, 0..1.
-        spread: standard deviation of posterior samples, root mean square over channels, `[V]`; None without samples.
+        spread: standard deviation of each channel that the network expects, `[V]`; 0 where it is seen.
     """
 
     filled: Tensor
     seen: Tensor
     colors: Tensor
-    spread: Tensor | None
+    spread: Tensor
 
 
 class ColorCompleter:
-    """Our own diffusion model of the two sides of dressed people, weights in the package.
+    """Our own model of the two sides of dressed people, weights in the package.
 
     Args:
         body: of the avatars; of any topology.
-        settings: how the posterior is summarised.
+        settings: which weights.
         device: where the network runs.
     """
 
@@ -88,9 +83,8 @@ class ColorCompleter:
         self.net.to(self.device)
 
     def describe(self) -> dict[str, Any]:
-        """Returns the settings and the hash of the weights."""
-        own = {key: value for key, value in vars(self.settings).items() if key != "weights"}
-        return {"completion": "embedded", "weights_sha256": self.card["sha256"], **own}
+        """Returns the hash of the weights."""
+        return {"completion": "embedded", "weights_sha256": self.card["sha256"]}
 
     @torch.no_grad()
     def complete(self, filled: Tensor, seen: Tensor) -> Completion:
@@ -100,26 +94,13 @@ class ColorCompleter:
             filled: colours by what is seen nearby, `[V, 3]`, 0..1.
             seen: how well each vertex is known, `[V]`, 0..1.
         """
-        planes = completion_planes(self.body, filled, filled, seen)[None].to(self.device)
-        predict, settings = partial(self.net, planes=planes), self.settings
-        count = max(settings.draws, settings.samples)
-        shape = (count, 1, len(FILLED), SIZE, SIZE)
-        noise = torch.randn(shape, generator=torch.Generator().manual_seed(settings.seed)).to(self.device)
-        signal = torch.stack([posterior_mean(predict, one) for one in noise[: settings.draws]]).mean(dim=0)
-        colors = self._added(filled, seen, signal)
-        spread = None
-        if settings.samples:
-            drawn = [
-                self._added(filled, seen, sample(predict, one, settings.steps))
-                for one in noise[: settings.samples]
-            ]
-            spread = torch.stack(drawn).var(dim=0, unbiased=False).mean(dim=1).sqrt()
-        return Completion(filled, seen, colors, spread)
-
-    def _added(self, filled: Tensor, seen: Tensor, signal: Tensor) -> Tensor:
-        """Returns `filled` with what a signal adds where little was seen, `[V, 3]`."""
-        lacking = self.body.fold(from_signal(signal)[0].cpu().unflatten(0, (SIDES, 3)))
-        return (filled + (1.0 - seen)[:, None] * lacking).clamp(0.0, 1.0)
+        planes = completion_planes(self.body, filled, seen)[None].to(self.device)
+        expected, spread = (part[0].cpu() for part in self.net(planes))
+        unseen = 1.0 - seen
+        lacking = self.body.fold(expected - planes[0, FILLED].cpu().unflatten(0, (SIDES, 3)))
+        colors = (filled + unseen[:, None] * lacking).clamp(0.0, 1.0)
+        unsure = self.body.fold(spread.exp().clamp(LEAST_SPREAD, MOST_SPREAD)[:, None])[:, 0]
+        return Completion(filled, seen, colors, unseen * unsure)
 
     def of_avatar(self, avatar: Avatar, accumulated: Accumulated) -> tuple[Accumulated, Completion]:
         """Returns what a video shows of an avatar's Gaussians with the rest completed; and the body's surface.
@@ -149,17 +130,17 @@ def write_completion(table: Path, picture: Path, completion: Completion, body: U
     """Writes completed colours by vertex, and a picture of them.
 
     Args:
-        table: `.npz` with `colors`, `filled`, `seen` and, where it is known, `spread`, one row a vertex.
+        table: `.npz` with `colors`, `filled`, `seen` and `spread`, one row a vertex.
         picture: front and back: by what is seen nearby, completed, how well seen, and how unsure (white: 0.2).
         completion: what was found.
         body: whose vertices they are.
     """
-    parts = {name: value.numpy() for name, value in vars(completion).items() if value is not None}
+    parts = {name: value.numpy() for name, value in vars(completion).items()}
     content = BytesIO()
     np.savez_compressed(content, **{name: value.astype(np.float16) for name, value in parts.items()})
     write_bytes(table, content.getvalue())
-    grey = [completion.seen] if completion.spread is None else [completion.seen, 5.0 * completion.spread]
-    rows = [completion.filled, completion.colors, *(each[:, None].expand(-1, 3) for each in grey)]
+    grey = [each[:, None].expand(-1, 3) for each in (completion.seen, 5.0 * completion.spread)]
+    rows = [completion.filled, completion.colors, *grey]
     drawn = torch.cat([torch.cat(list(body.unfold(row.float())), dim=2) for row in rows], dim=1)
     pixels = (drawn.permute(1, 2, 0).clamp(0.0, 1.0) * 255.0 + 0.5).byte().numpy()
     write_png(picture, pixels)

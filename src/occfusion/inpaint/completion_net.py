@@ -1,4 +1,4 @@
-"""The network that completes a body's colours: the two pictures that it sees, what it predicts, and its weights."""
+"""The network that completes a body's colours: the two pictures that it sees, what it answers, and its weights."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ import torch
 from torch import Tensor, nn
 
 from occfusion.human.unfolded import UnfoldedBody
-from occfusion.priors.embedded.diffusion import alpha_sigma
 from occfusion.priors.embedded.network_file import Card, load_net
 from occfusion.priors.embedded.unet import BlockUNet
 
 COMPLETION = "completion"
-NETWORK_VERSION = 1
+NETWORK_VERSION = 2
 SIZE = 128
 """Pixels a side of the pictures of front and back: a centimetre and a half each, as far apart as a body's vertices."""
 SIDES = 2
 PLANES_A_SIDE = 13
-"""Filled colour 3, observed colour 3, seen 1, the same of the mirrored place 4, body 1, depth 1."""
+"""Filled colour 3, seen colour 3, how well seen 1, these two of the mirrored place 4, body 1, depth 1."""
 PLANES = SIDES * PLANES_A_SIDE + 2
 """Of both sides, and the grid."""
 FILLED = [0, 1, 2, PLANES_A_SIDE, PLANES_A_SIDE + 1, PLANES_A_SIDE + 2]
@@ -33,43 +32,33 @@ COPIES = 3
 OWN_FIRST = 2.0
 """Logit of its own before anything is learned."""
 
-KNEE = 0.05
-"""Difference of colours up to which the signal grows in proportion; beyond, with its logarithm."""
-SPAN = math.asinh(1.0 / KNEE)
+SPREAD_WEIGHT = 0.01
+"""Of the spread's term in the loss, where the colours' has 1."""
+LEAST_SPREAD = 0.005
+"""Standard deviation of a colour, 0..1, at least: about one grey level of 256."""
 
 
-def completion_planes(body: UnfoldedBody, filled: Tensor, observed: Tensor, seen: Tensor) -> Tensor:
+def completion_planes(body: UnfoldedBody, filled: Tensor, seen: Tensor) -> Tensor:
     """Returns what the network is told, `[PLANES, S, S]`.
 
     Args:
         body: whose vertices the others belong to.
-        filled: colours of all vertices by what is seen nearby, `[V, 3]`, 0..1.
-        observed: mean observed colours, `[V, 3]`; anything where nothing was observed.
+        filled: colours of all vertices, by what is seen nearby where they are not seen, `[V, 3]`, 0..1.
         seen: how well each vertex is known, `[V]`, 0..1.
     """
-    drawn = body.unfold(torch.cat([filled, observed * seen[:, None], seen[:, None]], dim=1))
+    drawn = body.unfold(torch.cat([filled, filled * seen[:, None], seen[:, None]], dim=1))
     own = torch.cat(
         [drawn, drawn[:, 3:].flip(-1), body.mask[:, None].to(drawn), body.depth[:, None].to(drawn)], dim=1
     )
     return torch.cat([own.flatten(0, 1), body.grid.to(drawn)])
 
 
-def to_signal(truth: Tensor, planes: Tensor) -> Tensor:
-    """Returns the signal of true colours, -1..1, `[B, 6, S, S]` for both of `[B, ., S, S]`: what `filled` lacks."""
-    return torch.asinh((truth - planes[:, FILLED]) / KNEE) / SPAN
-
-
-def from_signal(signal: Tensor) -> Tensor:
-    """Returns what is to be added to the filled colours."""
-    return KNEE * torch.sinh(SPAN * signal)
-
-
 class CompletionNet(nn.Module):
-    """Predicts v of the difference between true colours of the body's two sides and the filled ones.
+    """Tells the colours of the body's two sides, and how sure they are.
 
     Much of what is not seen is like what is: the back of a striped shirt is striped at the same heights, the left
-    sleeve is like the right one. So v is that of a mixture, pixel by pixel, of the filled colour, of that behind or
-    before it, and of that at the mirrored place (`- sigma` times its signal), and something of its own.
+    sleeve is like the right one. So the answer is a mixture, pixel by pixel, of the filled colour, of that behind or
+    before it, and of that at the mirrored place, and something of its own.
 
     Args:
         widths: channels at each level.
@@ -78,18 +67,43 @@ class CompletionNet(nn.Module):
 
     def __init__(self, widths: tuple[int, ...] = (32, 64, 96), depth: int = 2) -> None:
         super().__init__()
-        self.net = BlockUNet((3 + COPIES) * SIDES, 3 * SIDES + PLANES, 0, tuple(widths), depth)
+        self.net = BlockUNet((3 + COPIES + 1) * SIDES, PLANES, 0, tuple(widths), depth)
 
-    def forward(self, noisy: Tensor, t: Tensor, planes: Tensor) -> Tensor:
-        """Returns v, `[B, 6, S, S]`, for `noisy [B, 6, S, S]`, `t [B]` and `planes [B, PLANES, S, S]`."""
-        fine = torch.cat([noisy, planes], dim=1).contiguous(memory_format=torch.channels_last)
-        own, logits = self.net(fine, None, t).split([3 * SIDES, COPIES * SIDES], dim=1)
+    def forward(self, planes: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns colours `[B, SIDES, 3, S, S]` and logarithms of their standard deviations `[B, SIDES, S, S]`.
+
+        Args:
+            planes: `[B, PLANES, S, S]`, S a multiple of 16.
+        """
+        planes = planes.contiguous(memory_format=torch.channels_last)
+        now = planes.new_ones(len(planes))  # there is no noise, and so no time of a diffusion
+        out = self.net(planes, None, now).unflatten(1, (SIDES, -1))
+        own, logits, spread = out.split([3, COPIES, 1], dim=2)
         filled = planes[:, FILLED].unflatten(1, (SIDES, 3))
         copies = torch.stack([filled, filled.flip(1), filled.flip(-1)], dim=2)  # [B, side, copy, 3, S, S]
         preferred = logits.new_tensor([OWN_FIRST, 0.0, 0.0])[:, None, None]
-        shares = (logits.unflatten(1, (SIDES, COPIES)) + preferred).softmax(dim=2)
-        copied = to_signal((shares[:, :, :, None] * copies).sum(dim=2).flatten(1, 2), planes)
-        return own - alpha_sigma(t)[1][:, None, None, None] * copied
+        shares = (logits + preferred).softmax(dim=2)
+        return (shares[:, :, :, None] * copies).sum(dim=2) + own, spread[:, :, 0]
+
+
+def completion_loss(net: CompletionNet, truth: Tensor, planes: Tensor, weight: Tensor) -> Tensor:
+    """Returns the mean distance to true colours, and beside it how badly the spread tells that distance.
+
+    A mean distance asks for the median of what may be true, where a mean square asks for the mean of it, which is
+    a blur wherever it is not known how far down a shirt reaches. The spread is that of a density which falls off with
+    the distance d of colours, `exp(-2 d / s) / s^3`; it does not move the colours.
+
+    Args:
+        net: the network.
+        truth: colours of both sides, `[B, SIDES * 3, S, S]`.
+        planes: what the network sees, `[B, PLANES, S, S]`.
+        weight: of each side's pixels, `[B, SIDES, S, S]`.
+    """
+    colors, spread = net(planes)
+    distance = ((colors - truth.unflatten(1, (SIDES, 3))).square().sum(dim=2) + 1e-6).sqrt()
+    spread = spread.clamp(min=math.log(LEAST_SPREAD))
+    surprise = 2.0 * distance.detach() * (-spread).exp() + 3.0 * spread
+    return ((distance + SPREAD_WEIGHT * surprise) * weight).sum() / weight.sum()
 
 
 @cache

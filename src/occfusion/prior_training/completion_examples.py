@@ -15,15 +15,17 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from occfusion.geometry.coverage import Sighting, looks
+from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.normals import vertex_normals
+from occfusion.geometry.zbuffer import NO_FACE, ZBuffer, rasterize_mesh
 from occfusion.human import Body
 from occfusion.human.body import embedded_body
 from occfusion.inpaint.accumulation import known_share, with_neighbours
 from occfusion.synth import regions
+from occfusion.synth.disturb import disturb_shape, disturb_take
 from occfusion.synth.dress import dress
 from occfusion.synth.fullbody import SKIN, bone_transforms, load_model_body, skin
-from occfusion.synth.motion import make_take
+from occfusion.synth.motion import Take, make_take
 from occfusion.synth.noise import value_noise
 from occfusion.synth.paint import EDGE, paint_places
 from occfusion.synth.regions import band
@@ -40,6 +42,10 @@ FRAMES = 10
 PICTURE, FOCAL, DISTANCE = 192, 206.0, 2.65  # pixels, pixels, metres
 OTHER_PATTERN = 0.4
 """Share of people whose top has a pattern of no embedded subject."""
+MOST_ERRORS = 3
+"""How often poses and shape are put off as those of level `hard` are, at most; each as likely, none among them."""
+LAMP = 0.2
+"""By how much of its brightness a place may be brighter or darker, since the lamp was not quite found, at most."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +54,11 @@ class Example:
 
     Attributes:
         truth: `[V, 3]`, 0..255.
-        observed: as a video shows them, `[V, 3]`, 0..255.
-        filled: all, by what is seen nearby, `[V, 3]`, 0..255.
+        filled: as a video shows them, and where it does not, by what is seen nearby, `[V, 3]`, 0..255.
         seen: how well each is known, `[V]`, 0..255.
     """
 
     truth: NDArray[np.uint8]
-    observed: NDArray[np.uint8]
     filled: NDArray[np.uint8]
     seen: NDArray[np.uint8]
 
@@ -76,14 +80,11 @@ def make_example(number: int, seed: int, *, validation: bool = False) -> Example
     rng = np.random.default_rng([seed, number, int(validation)])
     subject = make_subject(int(VALIDATION[number % len(VALIDATION)])) if validation else mixed_subject(rng)
     truth = vertex_colours(subject, None if validation else rng)
-    weights = watched(subject.betas, rng, validation=validation)
-    observed = truth * (1.0 + rng.normal(0.0, 0.02, (1, 3))) + rng.normal(0.0, 0.015, truth.shape)
-    colors = torch.from_numpy(np.clip(observed, 0.0, 1.0)).float()
+    facing = float(rng.choice([0.0, 0.0, 180.0])) if validation else None
+    colors, weights = watched(truth, subject.betas, rng, facing)
     known = torch.from_numpy(weights).float()
-    filled = with_neighbours(colors, known, _body()[1])
-    return Example(
-        _bytes(truth), _bytes(colors.numpy()), _bytes(filled.numpy()), _bytes(known_share(known).numpy())
-    )
+    filled = with_neighbours(torch.from_numpy(colors).float(), known, _body()[1])
+    return Example(_bytes(truth), _bytes(filled.numpy()), _bytes(known_share(known).numpy()))
 
 
 def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -152,34 +153,68 @@ def _other_pattern(points: Floats, subject: Subject, rng: np.random.Generator) -
     return np.asarray(first + share[:, None] * (second - first))
 
 
-def watched(betas: Floats, rng: np.random.Generator, *, validation: bool = False) -> Floats:
-    """Returns in how many pixels a short video shows each vertex, `[V]`, summed over its frames.
+def watched(
+    truth: Floats, betas: Floats, rng: np.random.Generator, facing: float | None = None
+) -> tuple[Floats, Floats]:
+    """Returns what a short video shows at each vertex of a body whose poses and shape may be off.
+
+    The pictures are of the true body, under a lamp that was not quite found; they are read where the estimated one
+    says, so that a hand may leave its colour on the hip that it hangs before.
 
     Args:
+        truth: colours of the person, `[V, 3]`, 0..1.
         betas: the person's shape.
         rng: source of all choices.
-        validation: who hardly turns, seen from before or from behind.
+        facing: degrees that a person who hardly turns is turned away from the camera; None: any, and any turn.
+
+    Returns:
+        mean colours, `[V, 3]`, and in how many pixels each vertex was seen, `[V]`, summed over the frames.
     """
-    facing = float(rng.choice([0.0, 0.0, 180.0])) if validation else float(rng.uniform(0.0, 360.0))
-    turn = 30.0 if validation else float(rng.choice([0.0, 30.0, 30.0, 60.0, 120.0, 180.0]))
+    turn = 30.0
+    if facing is None:
+        facing, turn = (
+            float(rng.uniform(0.0, 360.0)),
+            float(rng.choice([0.0, 30.0, 30.0, 60.0, 120.0, 180.0])),
+        )
     take = make_take(60, betas, False, rng, turn=turn, facing=facing)
-    model = load_model_body()
-    rest = model.template + model.shapedirs @ betas
-    joints = model.regressor @ rest
+    taken_for, shape = take, betas
+    for _ in range(rng.integers(MOST_ERRORS + 1)):
+        taken_for, shape = disturb_take(taken_for, rng), disturb_shape(shape, rng)
     height = rng.uniform(0.7, 1.5)
     viewmat = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, height], [0, 1.0, 0, DISTANCE], [0, 0, 0, 1.0]])
-    K = np.array([[FOCAL, 0, 0.5 * PICTURE], [0, FOCAL, 0.5 * PICTURE], [0, 0, 1.0]])
     centre = PICTURE * rng.uniform(0.3, 0.7)
     half = 0.0 if rng.uniform() < 0.3 else PICTURE * rng.uniform(0.03, 0.14)
     hidden_frames = rng.choice([0.8, 1.0])
-    columns = np.arange(PICTURE) + 0.5
-    total = np.zeros(len(rest))
+    beside = np.abs(np.arange(PICTURE) + 0.5 - centre) > half
+    lamp = rng.normal(size=3)
+    lamp *= rng.uniform(0.0, LAMP) / np.linalg.norm(lamp)
+    faces = load_model_body().faces
+    weights, sums = np.zeros(len(truth)), np.zeros((len(truth), 3))
     for k, frame in enumerate(np.linspace(0, len(take.poses) - 1, FRAMES).round().astype(int)):
-        transforms = bone_transforms(take.poses[frame], joints, model.parents)
-        points = (skin(rest, model.weights, transforms) + take.transl[frame]) @ Y_UP_TO_Z_UP.T
-        visible = np.ones((PICTURE, PICTURE), bool)
+        points = _posed(take, betas, frame)
+        true, seen = _seen(points, viewmat), _seen(_posed(taken_for, shape, frame), viewmat)
+        shaded = truth * (1.0 + vertex_normals(points, faces) @ lamp)[:, None]
+        picture = (true.barycentrics[..., None] * shaded[faces[true.face]]).sum(axis=2)
+        shown = (true.face != NO_FACE) & (seen.face != NO_FACE)
         if k < hidden_frames * FRAMES:
-            visible &= (np.abs(columns - centre) > half)[None, :]
-        sighting = Sighting.through(points, viewmat, K, visible)
-        total += looks(sighting, model.faces)[0]
-    return np.asarray(total * rng.choice([3.0, 10.0, 30.0]))
+            shown &= beside
+        shares, corners = seen.barycentrics[shown], faces[seen.face[shown]]
+        np.add.at(weights, corners, shares)
+        np.add.at(sums, corners, shares[..., None] * picture[shown][:, None])
+    colors = sums / np.maximum(weights, 1e-6)[:, None]
+    colors = colors * (1.0 + rng.normal(0.0, 0.02, (1, 3))) + rng.normal(0.0, 0.015, colors.shape)
+    return np.clip(colors, 0.0, 1.0), weights * rng.choice([3.0, 10.0, 30.0])
+
+
+def _posed(take: Take, betas: Floats, frame: int) -> Floats:
+    """Returns the vertices of a body in a frame, z up, `[V, 3]`, metres."""
+    model = load_model_body()
+    rest = model.template + model.shapedirs @ betas
+    transforms = bone_transforms(take.poses[frame], model.regressor @ rest, model.parents)
+    return np.asarray((skin(rest, model.weights, transforms) + take.transl[frame]) @ Y_UP_TO_Z_UP.T)
+
+
+def _seen(points: Floats, viewmat: Floats) -> ZBuffer:
+    K = np.array([[FOCAL, 0, 0.5 * PICTURE], [0, FOCAL, 0.5 * PICTURE], [0, 0, 1.0]])
+    pixels, depths = project_vertices(points, viewmat, K)
+    return rasterize_mesh(pixels, depths, load_model_body().faces, PICTURE, PICTURE)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from occfusion.files.atomic import write_json
 from occfusion.files.jsonfile import parse_json
@@ -20,18 +20,17 @@ from occfusion.inpaint.completion_net import (
     FILLED,
     NETWORK_VERSION,
     SEEN,
+    SIDES,
     SIZE,
     CompletionNet,
+    completion_loss,
     completion_planes,
-    from_signal,
-    to_signal,
 )
 from occfusion.prior_training.completion_examples import Example, make_example
 from occfusion.prior_training.task import Batch, PriorTask
-from occfusion.priors.embedded.diffusion import posterior_mean
 from occfusion.settings.stages import PriorTrainingSettings
 
-VERSION = 1
+VERSION = 2
 """Of the corpus: raised whenever its bytes change."""
 KNOWN_WEIGHT = 0.1
 """In the loss, of what the video shows well; what it does not show counts 1."""
@@ -39,7 +38,7 @@ UNSEEN = 0.2
 """Share known up to which a place counts as not seen, in figures."""
 SHUFFLED, FLIPPED = 0.4, 0.5
 """Shares of the examples whose channels of colour change places, and who are mirrored."""
-ARRAYS = ("truth", "observed", "filled", "seen")
+ARRAYS = ("truth", "filled", "seen")
 
 
 class CompletionTask(PriorTask[CompletionNet]):
@@ -51,7 +50,7 @@ class CompletionTask(PriorTask[CompletionNet]):
         seed: of corpus and batches.
     """
 
-    kind, size, version = COMPLETION, SIZE, NETWORK_VERSION
+    kind, size, version, term = COMPLETION, SIZE, NETWORK_VERSION, "distance"
     data = "colours of people put together from embedded subjects 0 to 89, made by this package"
     columns = ("filled_psnr", "completed_psnr")
 
@@ -108,16 +107,14 @@ class CompletionTask(PriorTask[CompletionNet]):
         """
         planes, truths = [], []
         for example in examples:
-            truth, observed, filled, seen = (
+            truth, filled, seen = (
                 torch.from_numpy(getattr(example, name).astype(np.float32)) / 255.0 for name in ARRAYS
             )
             if rng is not None:
                 order = rng.permutation(3).tolist() if rng.uniform() < SHUFFLED else [0, 1, 2]
                 gain = torch.from_numpy(rng.uniform(0.8, 1.15, 3)).float()
-                truth, observed, filled = (
-                    (part[:, order] * gain).clamp(0.0, 1.0) for part in (truth, observed, filled)
-                )
-            drawn = completion_planes(self.body, filled, observed, seen)
+                truth, filled = ((part[:, order] * gain).clamp(0.0, 1.0) for part in (truth, filled))
+            drawn = completion_planes(self.body, filled, seen)
             target = self.body.unfold(truth).flatten(0, 1)
             if rng is not None and rng.uniform() < FLIPPED:
                 drawn, target = drawn.flip(-1), target.flip(-1)
@@ -126,7 +123,11 @@ class CompletionTask(PriorTask[CompletionNet]):
             truths.append(target)
         conditions, truth = torch.stack(planes), torch.stack(truths)
         weight = (1.0 - (1.0 - KNOWN_WEIGHT) * conditions[:, SEEN]) * conditions[:, BODY] + 1e-4
-        return Batch(to_signal(truth, conditions), conditions, weight.repeat_interleave(3, dim=1))
+        return Batch(truth, conditions, weight)
+
+    def loss(self, net: CompletionNet, batch: Batch) -> Tensor:
+        """Returns the loss of a batch."""
+        return completion_loss(net, batch.clean, batch.conditions, batch.weight)
 
     @torch.no_grad()
     def measure(self, net: CompletionNet, device: torch.device) -> dict[str, float]:
@@ -138,14 +139,10 @@ class CompletionTask(PriorTask[CompletionNet]):
             ]
         errors, total = np.zeros(2), 0
         for batch in self._validation:
-            planes = batch.conditions.to(device)
-            shape = (len(planes), len(FILLED), *planes.shape[2:])
-            noise = torch.randn(shape, generator=torch.Generator().manual_seed(0)).to(device)
-            signal = posterior_mean(partial(net, planes=planes), noise)
-            filled = planes[:, FILLED]
-            truth = filled + from_signal(batch.clean.to(device))
-            unseen = ((planes[:, SEEN] < UNSEEN) & (planes[:, BODY] > 0)).repeat_interleave(3, dim=1)
-            for which, found in enumerate((filled, (filled + from_signal(signal)).clamp(0.0, 1.0))):
+            planes, truth = batch.conditions.to(device), batch.clean.to(device).unflatten(1, (SIDES, 3))
+            filled = planes[:, FILLED].unflatten(1, (SIDES, 3))
+            unseen = ((planes[:, SEEN] < UNSEEN) & (planes[:, BODY] > 0))[:, :, None].expand_as(truth)
+            for which, found in enumerate((filled, net(planes)[0].clamp(0.0, 1.0))):
                 errors[which] += float((found - truth)[unseen].square().sum())
             total += int(unseen.sum())
         return dict(zip(self.columns, (-10.0 * np.log10(errors / max(total, 1))).tolist(), strict=True))

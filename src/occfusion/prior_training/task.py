@@ -17,9 +17,9 @@ class Batch:
     """What a network is trained on.
 
     Attributes:
-        clean: signals in -1..1, `[B, C, S, S]`.
+        clean: what it is to tell: signals in -1..1, or colours, `[B, C, S, S]`.
         conditions: what it is shown of them, as its `forward` takes it.
-        weight: of each pixel in the loss, `[B, 1, S, S]`.
+        weight: of each pixel in the loss, `[B, 1, S, S]`, or of each side's.
     """
 
     clean: Tensor
@@ -40,6 +40,7 @@ class PriorTask(ABC, Generic[Net]):
         data: what it learns from, for the card.
         columns: names of its figures.
         version: of its network's conditions and prediction.
+        term: name of its loss.
     """
 
     kind: str
@@ -47,6 +48,7 @@ class PriorTask(ABC, Generic[Net]):
     data: str
     columns: tuple[str, ...]
     version: int = 1
+    term: str = "v"
 
     @abstractmethod
     def prepare(self) -> None:
@@ -59,6 +61,10 @@ class PriorTask(ABC, Generic[Net]):
     @abstractmethod
     def batch(self, step: int) -> Batch:
         """Returns the batch of a training step: a function of the step and the seed alone."""
+
+    def loss(self, net: Net, batch: Batch) -> Tensor | None:
+        """Returns the loss of a batch; None: that of a diffusion model."""
+        return None
 
     @abstractmethod
     def measure(self, net: Net, device: torch.device) -> dict[str, float]:

@@ -52,7 +52,7 @@ def run_prior_training(settings: Settings, *, folder_chosen_by_user: bool) -> di
     task.prepare()
     L.seed_everything(settings.seed, verbose=False)  # the same network whether the corpus was there or not
     net, started_from = _first_net(task, training)
-    stage = PriorStage(net, training, seed=settings.seed)
+    stage = PriorStage(net, training, seed=settings.seed, loss=task.loss, term=task.term)
     curve = PriorCurve(folder.curve, training, task)
     batches = DataLoader(_Steps(task.batch, lambda: stage.global_step), batch_size=None)
     done = fit(stage, batches, settings, folder, folder.checkpoint, steps=training.steps, measuring=[curve])
@@ -213,7 +213,7 @@ class PriorCurve(L.Callback):
         self._last = {
             "step": trainer.global_step,
             "train_seconds": round(stage.clock.seconds, 1),
-            "loss": round(stage.last_terms()["v"], 5),
+            "loss": round(sum(stage.last_terms().values()), 5),
             **{name: round(value, 4) for name, value in figures.items()},
         }
         write_table(self.path, self.columns, [*read_table(self.path), self._last])

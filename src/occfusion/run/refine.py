@@ -16,7 +16,7 @@ from occfusion.inpaint.accumulation import Accumulated, learning_shares, paint_u
 from occfusion.inpaint.build_inpainter import make_inpainter
 from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
 from occfusion.plan.make import refined_sh_degree, steps_of
-from occfusion.run.training import LOOKED_AT, AvatarTraining, tell_damage, training_truths
+from occfusion.run.training import AvatarTraining, tell_damage, training_truths
 from occfusion.settings.schema import Settings
 from occfusion.stages.inpaint import InpaintStage
 from occfusion.stages.references import References
@@ -42,21 +42,20 @@ def refine(training: AvatarTraining, avatar: Avatar) -> Avatar:
     identity = {"data": training.data_hash, "avatar": coarse}
     if own.has_avatar:
         if folder.inpainted.altered():
-            make_references(training, avatar, identity)
+            make_references(training, avatar, repaint_unseen(training, avatar), identity)
         print(f"refine: finished before, taken from {own.path}")
         return load_avatar(own.avatar, avatar.body)
     tell_damage(own)
     training.warm_up("refine")
     started = time.monotonic()
-    references, accumulated = make_references(training, avatar, identity)
     surface = training.surface_prior(chosen, avatar)
-    colour_shares = None
-    if surface is not None and chosen.surface.hold:
-        accumulated = accumulated or training.accumulate(avatar, LOOKED_AT)
-        colour_shares = learning_shares(avatar, accumulated)
+    is_held = surface is not None and chosen.surface.hold
+    accumulated = repaint_unseen(training, avatar) if is_held or _is_any_occluded(training) else None
+    references = make_references(training, avatar, accumulated, identity)
+    colour_shares = learning_shares(avatar, accumulated) if is_held and accumulated is not None else None
     seconds = time.monotonic() - started
-    is_held = chosen.hidden.target == "outline" and chosen.hidden.effective_weight > 0
-    outlines = _outlines(training, avatar) if is_held else {}
+    is_outlined = chosen.hidden.target == "outline" and chosen.hidden.effective_weight > 0
+    outlines = _outlines(training, avatar) if is_outlined else {}
     avatar.gaussians.allocate_bands(refined_sh_degree(settings))
     stage = RefineStage(
         avatar,
@@ -94,14 +93,33 @@ def _visited(training: AvatarTraining) -> frozenset[int]:
     return training.data.positions_until(steps_of(settings, settings.refine) * settings.trainer.devices)
 
 
+def _is_any_occluded(training: AvatarTraining) -> bool:
+    return any(observed_frame.evidence.occluded for observed_frame in training.observed_frames)
+
+
+def repaint_unseen(training: AvatarTraining, avatar: Avatar) -> Accumulated:
+    """Gives what no frame shows the colours of what is seen nearby, or completed ones; returns what frames show.
+
+    It had them at the start. The optimisation has moved them since, by what little shines through in front.
+
+    Args:
+        training: of the run's avatar.
+        avatar: the coarse avatar; its colours are changed in place.
+    """
+    accumulated = training.accumulate(avatar, GATHERED_FROM)
+    paint_unseen(avatar, training.complete(avatar, accumulated))
+    return accumulated
+
+
 def make_references(
-    training: AvatarTraining, avatar: Avatar, identity: dict[str, str]
-) -> tuple[References, Accumulated | None]:
-    """Writes the references of a run; returns them, and what the video shows of the Gaussians where it was asked.
+    training: AvatarTraining, avatar: Avatar, accumulated: Accumulated | None, identity: dict[str, str]
+) -> References:
+    """Writes the references of a run; returns them.
 
     Args:
         training: of the run's avatar; the inpainter runs where its renderer draws.
-        avatar: the coarse avatar; what no frame shows of it is given the colours of what is seen nearby, or completed.
+        avatar: the coarse avatar, what no frame shows of it painted.
+        accumulated: what the video shows of it; needed where a frame is occluded.
         identity: what the references depend on besides the inpainter: hashes of data and avatar.
 
     Raises:
@@ -110,23 +128,22 @@ def make_references(
     started = time.monotonic()
     settings, folder, data = training.planned, training.folder, training.data
     observed_frames, renderer = training.observed_frames, training.renderer
-    if not any(observed_frame.evidence.occluded for observed_frame in observed_frames):
+    if not _is_any_occluded(training):
         print(f"refine: none of {len(observed_frames)} frames is occluded, none is inpainted")
-        return References(folder.inpainted, frozenset()), None
+        return References(folder.inpainted, frozenset())
 
     inpainter, pixels = _make_inpainter(settings, data, renderer.device), settings.refine.references.pixels
     stage = InpaintStage(
         inpainter, avatar.eval(), observed_frames, folder.inpainted, identity, renderer, pixels
     )
-    stage.accumulated = training.accumulate(avatar, GATHERED_FROM)
-    paint_unseen(avatar, training.complete(avatar, stage.accumulated))
+    stage.accumulated = accumulated
     visited = _visited(training)
     wanted = [k for k in stage.wanted if k in visited]
     read = partial(data.train_frame, truth=False, complete=True)
     stage.treat(read, wanted, progress=settings.trainer.enable_progress_bar)
     seconds = time.monotonic() - started
     print(f"refine: references made in {seconds:.1f} s; {stage.counted}")
-    return stage.references, stage.accumulated
+    return stage.references
 
 
 def _make_inpainter(settings: Settings, data: HumanDataModule, device: torch.device) -> Inpainter:

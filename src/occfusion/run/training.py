@@ -231,6 +231,8 @@ class AvatarTraining:
     def accumulate(self, avatar: Avatar, most: int, opacity: float | None = None) -> Accumulated:
         """Returns what the training frames, evenly chosen at most so many, show of an avatar's Gaussians.
 
+        Of a person who does not turn, whose surface is therefore closed, what shines through does not count.
+
         Args:
             avatar: set to evaluation.
             most: frames.
@@ -238,7 +240,8 @@ class AvatarTraining:
         """
         positions = spread(len(self.data.train_indices), most)
         frames = (self.data.train_frame(k, truth=False) for k in positions)
-        return accumulate(avatar.eval(), frames, self.renderer, opacity)
+        is_closed = any(stage.surface.is_used for stage in (self.planned.optim, self.planned.refine))
+        return accumulate(avatar.eval(), frames, self.renderer, opacity, through=not is_closed)
 
     def complete(self, avatar: Avatar, accumulated: Accumulated) -> Accumulated:
         """Returns what the video shows of the Gaussians, with the colours of the rest completed where the plan says so.

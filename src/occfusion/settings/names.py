@@ -24,7 +24,8 @@ RENAMED = {
 }
 """Settings that have another name now, and which."""
 REMOVED = (
-    "trainer.strategy", "optim.lambda_correction", "refine.lambda_correction", "optim.sds.start_step", "optim.sh_frame"
+    "trainer.strategy", "optim.lambda_correction", "refine.lambda_correction", "optim.sds.start_step", "optim.sh_frame",
+    "prior.completion.draws", "prior.completion.samples", "prior.completion.steps", "prior.completion.seed",
 )  # fmt: skip
 """Settings that are gone.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
 import torch
@@ -21,7 +22,7 @@ class Batch(Protocol):
 
     @property
     def clean(self) -> Tensor:
-        """Signals in -1..1, `[B, C, S, S]`."""
+        """What the network is to tell, `[B, C, S, S]`."""
         ...
 
     @property
@@ -39,39 +40,62 @@ class Batch(Protocol):
         ...
 
 
-class PriorStage(Stage, Generic[Net]):
-    """Fits a network by v-prediction; keeps an exponential average of its weights, which is the result.
+Loss = Callable[[Any, Any], Tensor | None]
+"""Of a network and a batch; None: that of a diffusion model, which is called as `net(noisy, t, conditions)`."""
 
-    A share of the examples is trained at t = 1, where the prediction is the posterior mean.
+
+class PriorStage(Stage, Generic[Net]):
+    """Fits a network; keeps an exponential average of its weights, which is the result.
+
+    A diffusion model learns to predict v. A share of the examples is trained at t = 1, where the prediction is the
+    posterior mean.
 
     Args:
-        net: called as `net(noisy, t, conditions)`; returns v.
+        net: the network.
         settings: steps and rates.
         seed: decides noise and times, step by step.
+        loss: of a batch.
+        term: the loss's name.
     """
 
     name = "prior"
 
-    def __init__(self, net: Net, settings: PriorTrainingSettings, *, seed: int) -> None:
+    def __init__(
+        self,
+        net: Net,
+        settings: PriorTrainingSettings,
+        *,
+        seed: int,
+        loss: Loss = lambda *_: None,
+        term: str = "v",
+    ) -> None:
         super().__init__()
+        self._loss, self._term = loss, term
         self.settings = settings
         self.seed = seed
         self.net: Net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.averaged: Net = copy.deepcopy(self.net).requires_grad_(False)
 
     def training_step(self, batch: Batch, _batch_idx: int) -> Tensor:
+        """Returns the loss of a batch."""
+        loss = self._loss(self.net, batch)
+        if loss is None:
+            loss = self._velocity_error(batch)
+        terms = {self._term: loss}
+        self.keep_terms(terms, loss)
+        check_finite_terms(terms, self.name, self.global_step, "batch", loss)
+        return loss
+
+    def _velocity_error(self, batch: Batch) -> Tensor:
         """Returns the weighted squared error of v."""
-        step, clean = self.global_step, batch.clean
-        generator = torch.Generator(clean.device).manual_seed(self.seed * 1_000_003 + step)
+        clean = batch.clean
+        generator = torch.Generator(clean.device).manual_seed(self.seed * 1_000_003 + self.global_step)
         t = torch.rand(len(clean), generator=generator, device=clean.device)
         t[: round(self.settings.at_end * len(t))] = 1.0
         noise = torch.randn(clean.shape, generator=generator, device=clean.device)
         predicted = self.net(diffuse(clean, noise, t), t, batch.conditions)
         error = (predicted - velocity(clean, noise, t)).square() * batch.weight
-        terms = {"v": error.sum() / batch.weight.sum()}
-        self.keep_terms(terms, terms["v"])
-        check_finite_terms(terms, self.name, step, "batch", terms["v"])
-        return terms["v"]
+        return error.sum() / batch.weight.sum()
 
     def configure_optimizers(self) -> torch.optim.AdamW:
         """Returns AdamW; the rate follows a cosine after a warm-up."""
