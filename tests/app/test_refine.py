@@ -16,7 +16,13 @@ from occfusion.data.sampling import StepSampler
 from occfusion.errors import DataError
 from occfusion.files.images import read_mask, read_rgb
 from occfusion.files.run_folder import RunFolder
+from occfusion.human import Avatar
+from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.partial import Inpainter, Partial, Picture
+from occfusion.run.loaded import load_run
+from occfusion.run.refine import repaint_unseen
+from occfusion.run.training import AvatarTraining
+from occfusion.splat.harmonics import SH_C0
 from occfusion.stages.avatar import AvatarStage
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.references import References
@@ -314,3 +320,33 @@ def test_a_reference_that_goes_missing_meanwhile_is_named(tmp_path: Path) -> Non
     object.__setattr__(frame, "index", 7)
     with pytest.raises(DataError, match=r"000007\.png: the reference of this frame is missing"):
         References(RunFolder(tmp_path).inpainted, frozenset({7})).get(frame, (0, 0, 1, 1))
+
+
+def test_what_no_frame_shows_is_painted_at_the_handover_where_nothing_is_hidden(
+    train: Train, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The optimisation moves such colours, by what shines through; the refinement begins with completed ones again."""
+    paint = repaint_unseen
+
+    def spoilt(training: AvatarTraining, avatar: Avatar) -> Accumulated:
+        with torch.no_grad():
+            avatar.gaussians.sh0.fill_(1.7)  # the optimisation left white
+        return paint(training, avatar)
+
+    monkeypatch.setattr("occfusion.run.refine.repaint_unseen", spoilt)
+    monkeypatch.setattr("occfusion.plan.decisions.TURNED", 180.0)  # the person turns
+    folder, _ = train(
+        "variant=E", "dataset.occlusion=none", "optim.unseen_colors=prior", "optim.steps=2", "refine.steps=1",
+        "optim.sds.lambda_pose=0", "optim.sds.lambda_can=0", "refine.densify=false", *UNMEASURED,
+    )  # fmt: skip
+    assert "frames is occluded, none is inpainted" in capsys.readouterr().out
+    completion = np.load(folder / "completion.npz", allow_pickle=False)
+    avatar = load_run(folder).avatar
+    found = (avatar.gaussians.sh0.detach()[:, 0] * SH_C0 + 0.5).numpy()
+    vertices = avatar.gaussians.vertex_index.numpy()
+    known = completion["seen"][vertices]
+    unseen, seen = known < 0.02, known > np.quantile(known, 0.9)
+    away = np.abs(found - completion["colors"][vertices].astype(np.float32)).mean(axis=1)
+    assert unseen.mean() > 0.05
+    assert np.median(away[unseen]) < 0.03
+    assert np.median(away[seen]) > 0.2, "what is seen stays as it was learned"
