@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from occfusion.human.avatar import Avatar
 from occfusion.human.rendering import Renderer
-from occfusion.inpaint.accumulation import Accumulated, accumulate, paint_unseen
+from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.appearance_net import (
     ALPHA,
     COARSE,
@@ -53,20 +53,18 @@ def make_examples(
     frames: Sequence[Frame],
     observed_frames: Sequence[ObservedFrame],
     renderer: Renderer,
-    complete: Callable[[Avatar, Accumulated], Accumulated],
+    accumulated: Accumulated,
 ) -> Iterator[Example]:
     """Yields an example for each occluded frame, whose truth must be known.
 
     Args:
-        avatar: of the end of the optimisation stage; what no frame shows of it is given the colours of what is seen
-            nearby, or completed ones, as the refinement does before it asks for references.
+        avatar: of the end of the optimisation stage, what no frame shows of it painted as the refinement does before it
+            asks for references.
         frames: all training frames, with the complete masks that the avatar was trained with.
         observed_frames: of the same frames.
         renderer: draws the avatar.
-        complete: the colours of what no frame shows.
+        accumulated: what the frames show of it.
     """
-    accumulated = accumulate(avatar, frames, renderer)
-    paint_unseen(avatar, complete(avatar, accumulated))
     for frame, observed_frame in zip(frames, observed_frames, strict=True):
         if not observed_frame.evidence.occluded:
             continue

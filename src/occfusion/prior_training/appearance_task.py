@@ -80,18 +80,18 @@ class Coarse:
     """A trained scene.
 
     Attributes:
-        avatar: of the end of the optimisation stage.
+        avatar: of the end of the optimisation stage, what no frame shows painted.
         frames: all training frames, with truth and complete masks.
         observed_frames: of the same frames.
         renderer: that it was trained with.
-        complete: gives what no frame shows other colours than those of what is seen nearby, where the plan says so.
+        accumulated: what the frames show of the avatar.
     """
 
     avatar: Avatar
     frames: Sequence[Frame]
     observed_frames: Sequence[ObservedFrame]
     renderer: Renderer
-    complete: Callable[[Avatar, Accumulated], Accumulated]
+    accumulated: Accumulated
 
 
 TrainCoarse = Callable[[CoarseScene, Path], Coarse]
@@ -157,7 +157,7 @@ class AppearanceTask(PriorTask[AppearanceNet]):
     def _make(self, scene: CoarseScene, shard: ExampleShard) -> None:
         coarse = self._train(scene, self.folder / "runs" / scene.scene)
         examples = make_examples(
-            coarse.avatar, coarse.frames, coarse.observed_frames, coarse.renderer, coarse.complete
+            coarse.avatar, coarse.frames, coarse.observed_frames, coarse.renderer, coarse.accumulated
         )
         shard.write(examples, sum(frame.evidence.occluded for frame in coarse.observed_frames))
         del coarse, examples

@@ -24,6 +24,7 @@ from occfusion.prior_training.task import PriorTask
 from occfusion.priors.embedded.network_file import load_net, save_net
 from occfusion.run.folder import claim_run_folder
 from occfusion.run.prepare import build, claim, decide, observe
+from occfusion.run.refine import repaint_unseen
 from occfusion.run.training import fit
 from occfusion.settings.datasets import SyntheticSettings
 from occfusion.settings.schema import Settings, StageChoice, optim_hash
@@ -121,7 +122,8 @@ def train_coarse(settings: Settings, scene: CoarseScene, place: Path) -> Coarse:
     run = build(own, observed, plan, folder)
     avatar, data = run.run_stages(), observed.data
     frames = [data.train_frame(k, complete="init" in plan.stages) for k in range(len(data.train_indices))]
-    return Coarse(avatar.eval(), frames, observed.frames, observed.renderer, run.training.complete)
+    accumulated = repaint_unseen(run.training, avatar)
+    return Coarse(avatar.eval(), frames, observed.frames, observed.renderer, accumulated)
 
 
 def _make_task(training: PriorTrainingSettings, place: Path, settings: Settings) -> PriorTask[Any]:
