@@ -6,7 +6,9 @@
 Both are trained by the command that `import` prints, with the words behind it; pictures and masks are the import's.
 Held-out frames of the clip's own camera are evaluated by the runs themselves, poses being inputs. For other cameras
 the person is rendered anew from around, over black; the fit's world is laid on the true one by one rotation and shift
-of all joints of the clip, and by one for each frame. PSNR is over the person's box, 10 % larger.
+of all joints of the clip, and by one for each frame. `posed`: what was learned apart from where the fit has the body:
+the avatar is put into the true poses, its joints on the true ones by a shift, and its size is the person's, which one
+camera does not tell. PSNR is over the person's box, 10 % larger.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ import render_plain_clip as plain
 import torch
 from scipy.spatial.transform import Rotation
 
+from occfusion.fitting.batch import height_at_rest
 from occfusion.human import embedded_body
 from occfusion.human.rendering import Renderer
 from occfusion.run.loaded import load_run
@@ -103,7 +106,7 @@ def views_around(view: np.ndarray) -> list[np.ndarray]:
 def from_around(
     run: Path, folder: Path, scene: Scene, truth: dict[str, np.ndarray], frames: list[int], side: int
 ) -> dict[str, float]:
-    """Returns the mean PSNR from other cameras, worlds laid on each other once, and in each frame."""
+    """Returns the mean PSNR from other cameras: worlds laid on each other once, in each frame, and posed truly."""
     K, view = plain.camera()
     rows, joints = joints_of(folder)
     numbers = json.loads((folder / "import.json").read_text())["numbers"]
@@ -112,7 +115,8 @@ def from_around(
     loaded, renderer = load_run(run), Renderer("auto")
     width, height = side, round(side * plain.HEIGHT / plain.WIDTH)
     small = np.diag([width / plain.WIDTH, height / plain.HEIGHT, 1.0]) @ K
-    out: dict[str, list[float]] = {"once": [], "each frame": []}
+    out: dict[str, list[float]] = {"once": [], "each frame": [], "posed": []}
+    size = size_of(truth["betas"]) / size_of(rows["betas"])
     black = np.zeros((plain.HEIGHT, plain.WIDTH, 3), np.float32)
     for frame in frames:
         pose = Pose(
@@ -123,12 +127,36 @@ def from_around(
             picture, mask = plain.shot(scene, numbers[frame], K, around, black)
             picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA) / 255.0
             box = box_of(cv2.resize(mask.astype(np.uint8), (width, height)) > 0)
-            for key, onto in (("once", once), ("each frame", rigid(joints[frame], wanted[frame]))):
-                seen = torch.tensor(around @ np.linalg.inv(view) @ onto).float()
-                camera = Camera(seen, torch.tensor(small).float(), width, height)
-                drawn = renderer.draw(loaded.avatar(pose, camera.centre), camera).rgb.clamp(0, 1).numpy()
+            for key, shown, onto in (
+                ("once", pose, once),
+                ("each frame", pose, rigid(joints[frame], wanted[frame])),
+                ("posed", *posed_truly(rows["betas"], truth["poses"][numbers[frame]], wanted[frame], size)),
+            ):
+                seen = around @ np.linalg.inv(view) @ onto
+                seen[:3] /= np.cbrt(
+                    np.linalg.det(seen[:3, :3])
+                )  # a camera of a world that is larger is farther
+                camera = Camera(torch.tensor(seen).float(), torch.tensor(small).float(), width, height)
+                drawn = renderer.draw(loaded.avatar(shown, camera.centre), camera).rgb.clamp(0, 1).numpy()
                 out[key].append(-10 * np.log10(((drawn - picture)[box] ** 2).mean()))
     return {key: float(np.mean(values)) for key, values in out.items()}
+
+
+def size_of(betas: np.ndarray | torch.Tensor) -> float:
+    """Returns the height at rest of a body of that shape, metres."""
+    return float(height_at_rest(embedded_body(), torch.as_tensor(betas).float()))
+
+
+def posed_truly(
+    betas: torch.Tensor, pose: np.ndarray, wanted: np.ndarray, size: float
+) -> tuple[Pose, np.ndarray]:
+    """Returns a body of that shape in a pose `[72]`, and what lays it on true joints: a shift, after a scale."""
+    turns = torch.tensor(pose).float()
+    shown = Pose(betas, turns[:3], turns[3:], torch.zeros(3), 0.0)
+    _, joints = embedded_body()(betas, shown.global_orient, shown.body_pose, shown.transl)
+    onto = np.diag([size, size, size, 1.0])
+    onto[:3, 3] = wanted.mean(axis=0) - size * joints.double().numpy().mean(axis=0)
+    return shown, onto
 
 
 def box_of(mask: np.ndarray) -> tuple[slice, slice]:
@@ -170,7 +198,8 @@ def main() -> None:
             others = from_around(run, data, scene, truth, frames, side)
             print(
                 f"{data.name}: own camera, held-out frames {own['full']:.2f} dB, in the box {own['box']:.2f}; other "
-                f"cameras {others['once']:.2f} dB, laid on each other frame by frame {others['each frame']:.2f}",
+                f"cameras {others['once']:.2f} dB, laid on each other frame by frame {others['each frame']:.2f}, posed "
+                f"as the person was {others['posed']:.2f}",
                 flush=True,
             )
 

@@ -8,7 +8,7 @@ import torch
 
 from occfusion.errors import DataError
 from occfusion.fitting.anchors import landmark_places
-from occfusion.fitting.batch import BodyBatch, rotations_of, spread_vertices
+from occfusion.fitting.batch import BodyBatch, height_at_rest, rotations_of, spread_vertices
 from occfusion.fitting.heading import exchanged, swapped_frames
 from occfusion.fitting.pipeline import fit_body
 from occfusion.fitting.prior import beyond_limits, mirrored, unlikely
@@ -69,6 +69,30 @@ def test_a_person_is_found_again_from_key_points():
     assert np.mean(errors) < 0.03
     assert fit.quality.summary()["median_reprojection_percent_of_height"] < 1.0
     assert fit.quality.trusted and fit.quality.doubtful == [] and fit.swapped == []
+
+
+def test_the_height_that_is_given_is_the_bodys_and_its_place_follows():
+    points, truth = observed()
+    body, far = embedded_body(), truth[:, 0, 2].mean()
+    betas = torch.zeros(10)
+    betas[1] = 1.0
+    size = float(height_at_rest(body, betas))  # the person's own
+    for given in (0.85 * size, size, 1.15 * size):
+        fit = fit_body(body, points, None, K, np.arange(12) / 10, height=given)
+        found = float(height_at_rest(body, torch.tensor(fit.solution.betas, dtype=torch.float32)))
+        assert abs(found / given - 1.0) < 0.01
+        away = _joints(fit.solution)[:, 0, 2].mean()
+        assert abs(away / far - given / size) < 0.03  # twice as tall is twice as far
+        assert fit.quality.summary()["median_reprojection_percent_of_height"] < 1.0
+
+
+def test_the_height_at_rest_is_that_of_the_bodys_own_vertices():
+    body = embedded_body()
+    for seed in range(3):
+        betas = torch.randn(10, generator=torch.Generator().manual_seed(seed))
+        vertices, _ = body(betas, torch.zeros(3), torch.zeros(69), torch.zeros(3))
+        expected = float(vertices[:, 1].max() - vertices[:, 1].min())
+        assert abs(float(height_at_rest(body, betas)) - expected) < 1e-3
 
 
 def test_outliers_and_hidden_points_do_not_pull_the_body_away():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from occfusion.footage.blazepose import DETECTOR_SIDE, Region, anchors, decode, merged, refined
-from occfusion.footage.landmarks import INDEX, MIRRORED, NAMES
+from occfusion.footage.blazepose import DETECTOR_SIDE, Region, _Look, anchors, decode, merged, refined
+from occfusion.footage.landmarks import ARMS, COUNT, INDEX, LEGS, MIRRORED, NAMES
 
 
 def test_anchors_are_those_of_the_graph():
@@ -61,6 +61,30 @@ def test_heat_refines_where_it_is_sure():
 def test_sides_are_exchanged_in_pairs():
     assert (MIRRORED[MIRRORED] == np.arange(33)).all()
     assert MIRRORED[INDEX["left_knee"]] == INDEX["right_knee"] and MIRRORED[0] == 0 and len(NAMES) == 33
+
+
+def look(rng: np.random.Generator) -> _Look:
+    return _Look(
+        0.9, rng.uniform(0, 256, (39, 2)), rng.uniform(0.5, 1.0, COUNT), rng.normal(0, 0.4, (COUNT, 3)),
+        np.zeros((4, 4), np.float32),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("parts", [(), (ARMS,), (LEGS,), (ARMS, LEGS)])
+def test_a_look_that_takes_left_for_right_is_put_right_before_the_mean_of_two(parts):
+    """As the model did with a filmed person before a real room: arms and legs of the mean lay in the middle."""
+    rng = np.random.default_rng(0)
+    seen = look(rng)
+    order = np.arange(COUNT)
+    for part in parts:
+        order[part] = MIRRORED[part]
+    noise = rng.normal(0, 2.0, (39, 2))
+    places = np.concatenate([seen.places[order], seen.places[COUNT:]]) + noise
+    other = _Look(0.8, places, seen.chance[order], seen.world[order], seen.mask)
+    put_right = other.with_sides_of(seen)
+    assert np.abs(put_right.places - seen.places).max() < 10.0
+    np.testing.assert_array_equal(put_right.world, seen.world)
+    np.testing.assert_array_equal(put_right.chance, seen.chance)
 
 
 def test_a_rendered_person_is_found_with_landmarks_on_the_joints():

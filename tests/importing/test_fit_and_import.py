@@ -67,7 +67,8 @@ def test_a_folder_without_bodies_gets_them(given, monkeypatch, capsys):
     monkeypatch.setitem(__import__("sys").modules, "ai_edge_litert", None)  # nothing has to be looked for
     words = ["fit", str(folder / "clip"), "--keypoints", str(folder / "coco.json")]
     assert main(words) == 0
-    assert "verdict            trusted" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "verdict            trusted" in out and "m, a guess" in out
     report = load_json(folder / "clip" / "fit.json")
     assert report["median_mask_iou"] > 0.85 and report["median_reprojection_percent_of_height"] < 1.0
     assert report["doubtful_frames"] == [] and (folder / "clip" / "overlay.mp4").stat().st_size > 1000
@@ -90,6 +91,28 @@ def test_poses_that_are_not_of_a_fit_are_left_alone(given, tmp_path, capsys):
     assert "is there already" in capsys.readouterr().err
     assert main(words) == 1
     assert "--output" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_person_is_as_tall_as_was_said(given, tmp_path, capsys):
+    folder, _ = given
+    words = ["fit", str(folder / "clip"), "--keypoints", str(folder / "coco.json"), "--output", str(tmp_path)]
+    assert main([*words, "--height", "1.6"]) == 0
+    assert " m, as given" in capsys.readouterr().out
+    report = load_json(tmp_path / "fit.json")
+    assert report["height_known"] and abs(report["height_metres"] - 1.6) < 0.02
+    assert report["median_mask_iou"] > 0.85
+
+
+def test_a_height_that_no_person_has_or_that_is_known_already_is_refused(given, tmp_path, capsys):
+    folder, _ = given
+    images, output = str(folder / "clip" / "images"), ["--output", str(tmp_path / "out")]
+    assert main(["import", images, *output, "--height", "175"]) == 1
+    assert "metres, 0.5 to 2.5" in capsys.readouterr().err
+    np.savez(tmp_path / "poses.npz", betas=np.zeros(10))
+    assert main(["import", images, *output, "--from", str(tmp_path / "poses.npz"), "--height", "1.7"]) == 1
+    assert "has a height already" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -53,7 +53,11 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress() as progress:
         sources = gather(clip, choice_of(arguments), given, trimmed=False, advance=progress)
         sources, fit = fit_sources(body, sources, arguments, progress)
-    facts = {"clip": clip.name, "seconds": round(time.perf_counter() - begun, 1)}
+    facts = {
+        "clip": clip.name,
+        "height_known": arguments.height is not None,
+        "seconds": round(time.perf_counter() - begun, 1),
+    }
     write_bodies(output, sources, fit, body, embedded=arguments.body is None, facts=facts)
     print(said(output, "fit.txt"))
     print(f"written            {output / POSES}, {output / 'overlay.mp4'}")

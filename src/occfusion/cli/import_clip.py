@@ -38,6 +38,8 @@ from occfusion.importing.mhr import is_mhr
 from occfusion.importing.sources import Choice, Given, Sources, gather
 
 NOT_TRUSTED = 2
+SHORTEST, TALLEST = 0.5, 2.5
+"""Metres."""
 KEY_POINTS_OF = "sam-3d-body"
 """The tool of `--from` whose key points are taken, since its body is not SMPL's."""
 
@@ -105,6 +107,10 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--focal", type=float, help="focal length in pixels of the file (default: EXIF, else a guess)"
     )
+    parser.add_argument(
+        "--height", type=float,
+        help="of the person, metres: one camera does not tell it (default: as people most often are)",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0)
 
 
@@ -116,6 +122,10 @@ def choice_of(arguments: argparse.Namespace) -> Choice:
     """
     if arguments.frames is not None and arguments.frames < 1:
         raise ConfigError(f"--frames {arguments.frames}: give 1 or more.")
+    if arguments.height is not None and not SHORTEST <= arguments.height <= TALLEST:
+        raise ConfigError(
+            f"--height {arguments.height:g}: give the person's height in metres, {SHORTEST:g} to {TALLEST:g}."
+        )
     if not 128 <= arguments.size <= 4096:
         raise ConfigError(f"--size {arguments.size}: give 128 to 4096 pixels.")
     return Choice(
@@ -149,6 +159,8 @@ def run(arguments: argparse.Namespace) -> int:
         given, file = given_of(arguments), None if arguments.given is None else Path(arguments.given[-1])
         if file is not None and (arguments.given[0] == KEY_POINTS_OF or is_mhr(file)):
             given, file = replace(given, keypoints=file), None
+        if file is not None and arguments.height is not None:
+            raise ConfigError("--height is for a fit of our own: a body of --from has a height already.")
         sources = gather(arguments.clip, choice_of(arguments), given, advance=progress)
         body = embedded_body() if arguments.body is None else load_body(arguments.body)
         if file is None:
@@ -169,14 +181,12 @@ def fit_sources(
 
     Its poses are aligned with the outlines of the masks.
     """
-    seconds = sources.shot.seconds
-    if sources.clip.pictures:  # a folder has no clock: its frames are taken for a tenth of a second apart
-        seconds = [0.1 * second for second in seconds]
 
     def fitted(seen: Sources) -> Fit:
         return fit_body(
-            body, seen.points, seen.masks or None, seen.intrinsics.K, seconds,
-            focal_known=seen.intrinsics.known, hidden=seen.hidden, seed=arguments.seed, advance=advance,
+            body, seen.points, seen.masks or None, seen.intrinsics.K, seen.seconds,
+            focal_known=seen.intrinsics.known, hidden=seen.hidden, height=arguments.height,
+            seed=arguments.seed, advance=advance,
         )  # fmt: skip
 
     fit = fitted(sources)
@@ -198,6 +208,7 @@ def finish(
         "clip": sources.clip.path.name,
         "size": list(sources.shot.size),
         "body": "free body" if arguments.body is None else arguments.body.name,
+        "height_known": arguments.height is not None,
         "seconds": round(time.perf_counter() - begun, 1),
     }
     is_asked = {"auto": is_own, "on": True, "off": False}[arguments.mending]

@@ -73,6 +73,17 @@ def rotations_of(global_orient: Tensor, body_pose: Tensor) -> Tensor:
     return axis_angle_to_matrix(torch.cat([global_orient[:, None], body_pose.reshape(-1, 23, 3)], dim=1))
 
 
+def height_at_rest(body: Body, betas: Tensor) -> Tensor:
+    """Returns the height of a body of that shape at rest, from the soles to the crown, `[]`, metres.
+
+    Args:
+        body: upright along y at rest.
+        betas: `[B]`.
+    """
+    upright = body.v_template[:, 1] + body.shapedirs[:, 1, : len(betas)].to(betas) @ betas
+    return upright.amax() - upright.amin()
+
+
 def spread_vertices(body: Body, count: int) -> NDArray[np.int64]:
     """Returns vertices that lie far from each other (farthest-point sampling of the template), `[count]`."""
     points = body.v_template.double().numpy()

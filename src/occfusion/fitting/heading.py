@@ -15,7 +15,7 @@ from torch import Tensor
 
 from occfusion.fitting.anchors import landmark_places
 from occfusion.fitting.batch import BodyBatch, rotations_of
-from occfusion.footage.landmarks import INDEX, MIRRORED, KeyPoints
+from occfusion.footage.landmarks import INDEX, LIMBS, MIRRORED, KeyPoints
 
 Floats = NDArray[np.float64]
 
@@ -33,8 +33,6 @@ FEWEST = 4
 """Fewer landmarks say nothing about a heading."""
 SURE = 2.0
 """Weight of a heading that the trunk itself shows."""
-_LIMBS = np.arange(11, 33)
-"""Landmarks by which sides are told: shoulders to toes."""
 SWITCH = 0.012
 """Cost of changing between as-given and swapped, in heights of the person by which each landmark jumps."""
 KEPT = 0.02
@@ -165,12 +163,12 @@ def swapped_frames(points: KeyPoints) -> NDArray[np.bool_]:
     out = np.zeros(count, dtype=bool)
     if len(seen) < 3:
         return out
-    sure = points.confidence[seen][:, _LIMBS]
-    size = np.ptp(points.pixels[seen][:, _LIMBS], axis=1).max(axis=1).clip(1.0)
+    sure = points.confidence[seen][:, LIMBS]
+    size = np.ptp(points.pixels[seen][:, LIMBS], axis=1).max(axis=1).clip(1.0)
     flat = points.pixels[seen] / np.median(size)
     parts = [flat] if points.world is None else [flat, points.world[seen] / 1.7]
-    states = [np.concatenate([part[:, _LIMBS] for part in parts], axis=2)]
-    states.append(np.concatenate([part[:, MIRRORED][:, _LIMBS] for part in parts], axis=2))
+    states = [np.concatenate([part[:, LIMBS] for part in parts], axis=2)]
+    states.append(np.concatenate([part[:, MIRRORED][:, LIMBS] for part in parts], axis=2))
     steps = np.empty((len(seen) - 1, 2, 2))
     for k in range(1, len(seen)):
         weight = np.minimum(sure[k], sure[k - 1])

@@ -41,6 +41,7 @@ def fit_body(
     *,
     focal_known: bool = True,
     hidden: Sequence[NDArray[np.bool_]] | None = None,
+    height: float | None = None,
     seed: int = 0,
     advance: Callable[[str], None] = lambda _: None,
 ) -> Fit:
@@ -54,6 +55,7 @@ def fit_body(
         seconds: time of each frame.
         focal_known: whether the focal length is to stay as it is.
         hidden: where something stands before the person; None where nothing is known.
+        height: of the person, metres, where it is known: pictures of one camera do not tell it.
         seed: of the little chance there is.
         advance: called at each step with the stage's name.
 
@@ -62,7 +64,7 @@ def fit_body(
     """
     swapped = swapped_frames(points)
     used = exchanged(points, swapped)
-    problem = Problem(used, masks, K, focal_known, seconds, hidden)
+    problem = Problem(used, masks, K, focal_known, seconds, hidden, height)
     solution = solve(body, problem, seed=seed, advance=advance)
     quality = measure(body, solution, used, masks, hidden)
     return Fit(solution, quality, used, [int(k) for k in np.flatnonzero(swapped)])

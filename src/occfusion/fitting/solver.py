@@ -17,7 +17,7 @@ from torch import Tensor
 
 from occfusion.errors import DataError
 from occfusion.fitting.anchors import SPREADS, landmark_places
-from occfusion.fitting.batch import BodyBatch, rotations_of, spread_vertices
+from occfusion.fitting.batch import BodyBatch, height_at_rest, rotations_of, spread_vertices
 from occfusion.fitting.heading import (
     MIN_CONFIDENCE,
     TRUNK,
@@ -59,6 +59,7 @@ class Weights:
         outside: of the body outside of the mask.
         edge: of the mask's outline away from the body's.
         focal: of the focal length's logarithm, where it was guessed.
+        height: of the body's height away from the person's, in hundredths, squared; where that is known.
     """
 
     pixels: float = 1.0
@@ -73,6 +74,7 @@ class Weights:
     outside: float = 2.0
     edge: float = 2.0
     focal: float = 20.0
+    height: float = 1.0
 
 
 SEEN_IN_SPACE = Weights(smooth=5.0)
@@ -91,6 +93,7 @@ class Problem:
         focal_known: whether the focal length is to stay as it is.
         seconds: time of each frame; frames a tenth of a second apart count as neighbours.
         hidden: where something stands before the person, as masks; None where nothing is known.
+        height: of the person, metres; None: not known, and told by the shape that most people have.
     """
 
     points: KeyPoints
@@ -99,6 +102,7 @@ class Problem:
     focal_known: bool
     seconds: Sequence[float]
     hidden: Sequence[Mask] | None = None
+    height: float | None = None
 
 
 @dataclass
@@ -166,7 +170,7 @@ def solve(
 
 class _Fit:
     def __init__(self, body: Body, problem: Problem, weights: Weights) -> None:
-        self.problem, self.weights = problem, weights
+        self.problem, self.weights, self.body = problem, weights, body
         points = problem.points
         self.batch = BodyBatch(body, spread_vertices(body, POINTS))
         self.count = len(points)
@@ -207,7 +211,7 @@ class _Fit:
         else:
             turns = np.stack([flat_turn(points, int(k)) for k in frames])
         focal = self.problem.K[0, 0]
-        length = 0.5  # metres between the middles of shoulders and hips
+        length = 0.5 * self.size()  # metres between the middles of shoulders and hips
         trunk = points.pixels[frames][:, TRUNK]
         seen = np.linalg.norm(trunk[:, :2].mean(axis=1) - trunk[:, 2:].mean(axis=1), axis=1)
         tilt = np.sqrt(np.clip(1 - turns[:, 2, 1] ** 2, 0.15, 1.0))
@@ -241,6 +245,12 @@ class _Fit:
             torch.tensor(transl - pelvis, dtype=torch.float32),
             torch.zeros(()),
         )
+
+    def size(self) -> float:
+        """Returns how much larger than the middle one the person is known to be."""
+        if self.problem.height is None:
+            return 1.0
+        return self.problem.height / float(height_at_rest(self.body, torch.zeros(self.components)))
 
     def descend(
         self,
@@ -289,6 +299,9 @@ class _Fit:
             total = total + w.world * self._in_space(marks)
         total = total + w.pose * unlikely(state.pose).mean() + w.limits * beyond_limits(state.pose).mean()
         total = total + w.shape * (state.betas**2).sum() + w.focal * state.log_focal**2
+        if self.problem.height is not None:
+            off = 100.0 * (height_at_rest(self.body, state.betas) / self.problem.height - 1.0)
+            total = total + w.height * off**2
         total = total + self._motion(turns, places)
         if "masks" in terms:
             total = total + self._outline(state, turns, places, step)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.errors import ConfigError
-from occfusion.footage.landmarks import COUNT, MIRRORED
+from occfusion.footage.landmarks import ARMS, COUNT, LEGS, MIRRORED
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -242,7 +242,8 @@ class Landmarker:
     def __call__(self, picture: Picture, region: Region) -> Sighting:
         """Returns what is seen in a region of a picture `[H, W, 3]`, RGB."""
         cut = _cut(picture, region, LANDMARK_SIDE)
-        seen, other = self._look(cut), self._look(np.ascontiguousarray(cut[:, ::-1])).mirrored()
+        seen = self._look(cut)
+        other = self._look(np.ascontiguousarray(cut[:, ::-1])).mirrored().with_sides_of(seen)
         trust = np.stack([look.chance**2 for look in (seen, other)]) + 1e-3
         trust = (trust / trust.sum(axis=0))[..., None]
         places = seen.places.copy()
@@ -291,6 +292,20 @@ class _Look:
         places[:COUNT] = places[MIRRORED]
         places[:, 0] = LANDMARK_SIDE - places[:, 0]
         return _Look(self.score, places, self.chance[MIRRORED], world, self.mask[:, ::-1])
+
+    def with_sides_of(self, other: _Look) -> _Look:
+        """Returns the look with left and right exchanged, of arms and legs each, where that is nearer to another look.
+
+        The model may take the left for the right in one of them; the mean of both would be in the middle.
+        """
+        order = np.arange(COUNT)
+        for part in (ARMS, LEGS):
+            own, theirs = self.places[:COUNT], other.places[part]
+            apart = [np.linalg.norm(own[rows] - theirs, axis=1).mean() for rows in (part, MIRRORED[part])]
+            if apart[1] < apart[0]:
+                order[part] = MIRRORED[part]
+        places = np.concatenate([self.places[order], self.places[COUNT:]])
+        return _Look(self.score, places, self.chance[order], self.world[order], self.mask)
 
 
 def refined(points: Floats, heat: NDArray[np.float32]) -> Floats:

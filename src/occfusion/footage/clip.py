@@ -145,7 +145,7 @@ def read_clip(
     if every is None:
         every = max(1, round((clip.fps or RATE) / RATE))
         if every > 1:
-            notes.append(f"{clip.fps:.4g} frames a second: every {every}th is taken (--every 1 for all).")
+            notes.append(f"{clip.fps:.4g} frames a second: one of {every} is taken (--every 1 for all).")
     wanted = _wanted(clip, every, frames, start, stop)
     shot = Shot([], [], [], 1.0, notes)
     scale, seen = 1.0, 0

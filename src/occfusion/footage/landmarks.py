@@ -29,6 +29,10 @@ def _mirrored(name: str) -> str:
 
 MIRRORED = np.array([INDEX[_mirrored(name)] for name in NAMES])
 """Of each landmark the one on the other side, `[33]`."""
+ARMS, LEGS = np.arange(INDEX["left_shoulder"], INDEX["left_hip"]), np.arange(INDEX["left_hip"], COUNT)
+"""Shoulders to fingers, and hips to toes."""
+LIMBS = np.concatenate([ARMS, LEGS])
+"""Landmarks by which sides are told."""
 
 BONES = (
     (11, 12), (11, 13), (13, 15), (12, 14), (14, 16), (11, 23), (12, 24), (23, 24), (23, 25), (25, 27), (24, 26),

@@ -2,7 +2,7 @@
 
 The landmark model sees depth with errors that repeat: limbs are drawn towards the trunk, and people lean. A network of
 three layers says from a frame's landmarks how far each is off (`scripts/train_landmark_lift.py`); of the picture it
-knows nothing.
+knows nothing. The picture is turned for it until the trunk is upright.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 ASSET = "landmark_lift.npz"
 MOST = 0.3
 """Metres by which a landmark is moved at most, along each axis."""
+SHOULDERS = [INDEX["left_shoulder"], INDEX["right_shoulder"]]
 HIPS = [INDEX["left_hip"], INDEX["right_hip"]]
 WORLD_SCALE = 3.0
 """Metres are multiplied by it, so that all inputs are about as large."""
@@ -44,14 +45,29 @@ def lifted(points: KeyPoints) -> KeyPoints:
         return points
     seen = points.presence > 0
     world = points.world.copy()
-    values = inputs(world[seen], points.pixels[seen], points.confidence[seen])
+    turns = turned_upright(points.pixels[seen])
+    around = np.pad(turns, ((0, 0), (0, 1), (0, 1)))
+    around[:, 2, 2] = 1.0
+    upright = world[seen] @ around.transpose(0, 2, 1)
+    values = inputs(upright, points.pixels[seen] @ turns.transpose(0, 2, 1), points.confidence[seen])
     layers = _layers()
     for k, (weight, bias) in enumerate(layers):
         values = values @ weight.T + bias
         if k < len(layers) - 1:
             values = values / (1 + np.exp(-values))
-    world[seen] = from_hips(world[seen]) + MOST * np.tanh(values.reshape(-1, COUNT, 3))
+    world[seen] = (from_hips(upright) + MOST * np.tanh(values.reshape(-1, COUNT, 3))) @ around
     return KeyPoints(points.pixels, points.confidence, world, points.presence)
+
+
+def turned_upright(pixels: Floats) -> Floats:
+    """Returns the turns of the picture after which trunks stand upright in it, `[N, 2, 2]`, for landmarks `[N, 33, 2]`.
+
+    What the network learned from are level cameras and people who stand; a camera may be held at any angle.
+    """
+    up = pixels[:, SHOULDERS].mean(axis=1) - pixels[:, HIPS].mean(axis=1)
+    angle = np.arctan2(up[:, 0], -up[:, 1])
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([cosine, sine], axis=1), np.stack([-sine, cosine], axis=1)], axis=1)
 
 
 @cache

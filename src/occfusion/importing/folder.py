@@ -12,11 +12,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from occfusion.errors import ConfigError, DataError
 from occfusion.files.atomic import atomic_write, write_bytes, write_json, write_png
 from occfusion.files.video import write_frames
+from occfusion.fitting.batch import height_at_rest
 from occfusion.fitting.pipeline import Fit
 from occfusion.fitting.quality import overlay, posed
 from occfusion.footage.people import ranges
@@ -40,6 +42,10 @@ TRAINED_HEIGHT = 200
 """Pixels that a person is high in training pictures, at least, where the clip has as many."""
 NO_WORD = re.compile(r"null|true|false|[+-]?(nan|inf|[\d._]+(e[+-]?\d+)?)", re.IGNORECASE)
 """What Hydra takes for nothing, a truth value or a number, and writes otherwise."""
+HEIGHT_OF = {
+    True: "as given",
+    False: "a guess: one camera does not tell how large a person is (--height)",
+}
 COVERED = 0.85
 """Share of the body that masks cover, median, from which on nothing stands before the person."""
 
@@ -91,7 +97,7 @@ def write_folder(
             facts = {**facts, **mended}
             _write_poses(partial, fit)
         _write_overlay(partial, sources, fit, body)
-        _write_report(partial / REPORT, {**facts, **_report(sources, fit)})
+        _write_report(partial / REPORT, {**facts, **_report(sources, fit, body)})
         if output.exists():
             shutil.rmtree(output)
         partial.rename(output)
@@ -112,7 +118,7 @@ def write_bodies(
     with _unfinished(output / ".fit.partial", output) as partial:
         _write_bodies(partial, sources, fit, body, embedded, sources.shot.scale)
         _write_overlay(partial, sources, fit, body)
-        _write_report(partial / FIT_REPORT, {**facts, **_report(sources, fit)})
+        _write_report(partial / FIT_REPORT, {**facts, **_report(sources, fit, body)})
         if (output / "cameras.npz").exists():
             (partial / "cameras.npz").unlink()
         for file in sorted(partial.iterdir()):
@@ -197,7 +203,7 @@ def _sheet(sources: Sources, fit: Fit, body: Body) -> Picture:
     return np.vstack([np.hstack(small[:half]), np.hstack(small[half:])]).astype(np.uint8)
 
 
-def _report(sources: Sources, fit: Fit) -> dict[str, Any]:
+def _report(sources: Sources, fit: Fit, body: Body) -> dict[str, Any]:
     numbers = sources.shot.numbers
     quality = fit.quality
     return {
@@ -205,6 +211,7 @@ def _report(sources: Sources, fit: Fit) -> dict[str, Any]:
         "numbers": list(numbers),
         "camera": sources.intrinsics.source,
         "focal_pixels": float(fit.solution.K[0, 0]),
+        "height_metres": float(height_at_rest(body, torch.tensor(fit.solution.betas, dtype=torch.float32))),
         "trusted": quality.trusted,
         **quality.summary(),
         "doubtful_frames": [numbers[k] for k in quality.doubtful],
@@ -236,6 +243,7 @@ def _lines(report: dict[str, Any]) -> list[str]:
     lines = [
         f"frames             {report['frames']}",
         f"camera             {report['camera']}; focal length {report['focal_pixels']:.0f} px",
+        f"height             {report['height_metres']:.2f} m, {HEIGHT_OF[report['height_known']]}",
         f"reprojection       {said('median_reprojection_percent_of_height')} % of the person's height (median)",
         f"body and mask      IoU {said('median_mask_iou')}, "
         f"{said('median_mask_inside_body', 100)} % of the mask inside (median)",

@@ -15,6 +15,7 @@ from occfusion.errors import DataError
 from occfusion.footage.blazepose import ENLARGED, Landmarker, Region, Sighting
 from occfusion.footage.camera import Intrinsics, find_intrinsics
 from occfusion.footage.clip import SIDE, Clip, Shot, chosen, cuts, open_clip, read_clip
+from occfusion.footage.identity import require_one_person
 from occfusion.footage.landmarks import INDEX, KeyPoints
 from occfusion.footage.lift import lifted
 from occfusion.footage.mattes import person_masks
@@ -111,12 +112,22 @@ class Sources:
     hidden: list[Mask] | None = None
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def seconds(self) -> list[float]:
+        """Time of each frame."""
+        return clock(self.clip, self.shot)
+
     def at(self, places: Sequence[int]) -> Sources:
         """Returns some of the frames."""
         return replace(
             self, shot=self.shot.at(places), points=self.points.at(places), masks=[self.masks[k] for k in places],
             hidden=None if self.hidden is None else [self.hidden[k] for k in places],
         )  # fmt: skip
+
+
+def clock(clip: Clip, shot: Shot) -> list[float]:
+    """Returns the time of each picture, seconds; those of a folder are taken for a tenth of a second apart."""
+    return [0.1 * second for second in shot.seconds] if clip.pictures else list(shot.seconds)
 
 
 def read_pictures(path: Path | str, choice: Choice) -> tuple[Clip, Shot]:
@@ -214,6 +225,7 @@ def gather(
     if masks is None:
         advance("masks")
         masks = person_masks(shot.pictures, sightings)
+        require_one_person(shot.pictures, masks, shot.numbers, clock(clip, shot))
     elif given.masks is not None:
         notes.append(f"masks of {given.masks.name}.")
     if hidden is not None:
