@@ -78,8 +78,9 @@ def appearance(picture: Picture, mask: Mask) -> Floats | None:
         small = np.clip(small * (GREY / level), 0.0, 255.0).astype(np.uint8)
     lab = cv2.cvtColor(small, cv2.COLOR_RGB2LAB)
     counts = cv2.calcHist([lab], [0, 1, 2], inside, list(CELLS), list(REACH)).reshape(CELLS[0], -1)
-    counts = cv2.GaussianBlur(counts, (1, 3), 0).ravel()  # of lightness alone: shades count less than colours
-    return np.sqrt(counts.astype(np.float64) / max(counts.sum(), 1.0))
+    # along lightness alone: shades count less than colours
+    rows = cv2.GaussianBlur(counts, (1, 3), 0).ravel().astype(np.float64)
+    return np.asarray(np.sqrt(rows / max(rows.sum(), 1.0)))
 
 
 def changes_of_person(colours: Floats, seconds: Floats) -> list[int]:
