@@ -180,10 +180,11 @@ def main() -> None:
                 errors.append(1000.0 * np.linalg.norm(moved - theirs[told], axis=1).mean())
                 sizes.append(size)
         rows.append(float(np.mean(errors)))
+        found = report["median_reprojection_percent_of_height"], report["median_mask_iou"]
         print(
             f"{film.stem}: {len(errors)} frames, joints {rows[-1]:.1f} mm (worst frame {max(errors):.0f}), "
-            f"reprojection {report['median_reprojection_percent_of_height']:.2f} %, IoU {report['median_mask_iou']:.3f}, height "
-            f"{height:.2f} m, to be {np.median(sizes):.3f} times as large, trusted {report['trusted']}",
+            f"reprojection {found[0]:.2f} %, IoU {found[1]:.3f}, height {height:.2f} m, "
+            f"to be {np.median(sizes):.3f} times as large, trusted {report['trusted']}",
             flush=True,
         )
     print(f"mean {np.mean(rows):.1f} mm")

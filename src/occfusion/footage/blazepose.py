@@ -36,6 +36,8 @@ ENLARGED = 1.25
 KERNEL = 7
 """Cells of the heat map, a side, in which a landmark is refined."""
 MIN_PEAK = 0.5
+CLEARLY = 0.5
+"""Two looks take sides otherwise where they are so much nearer once exchanged: from the side, arms cover arms."""
 AUXILIARY = (33, 34)
 """Of the model's 39 points the two that span the next frame's region: its middle and a point on its circle."""
 
@@ -294,7 +296,7 @@ class _Look:
         return _Look(self.score, places, self.chance[MIRRORED], world, self.mask[:, ::-1])
 
     def with_sides_of(self, other: _Look) -> _Look:
-        """Returns the look with left and right exchanged, of arms and legs each, where that is nearer to another look.
+        """Returns the look with left and right exchanged, of arms and legs each, where another look has them so.
 
         The model may take the left for the right in one of them; the mean of both would be in the middle.
         """
@@ -302,7 +304,7 @@ class _Look:
         for part in (ARMS, LEGS):
             own, theirs = self.places[:COUNT], other.places[part]
             apart = [np.linalg.norm(own[rows] - theirs, axis=1).mean() for rows in (part, MIRRORED[part])]
-            if apart[1] < apart[0]:
+            if apart[1] < CLEARLY * apart[0]:
                 order[part] = MIRRORED[part]
         places = np.concatenate([self.places[order], self.places[COUNT:]])
         return _Look(self.score, places, self.chance[order], self.world[order], self.mask)
