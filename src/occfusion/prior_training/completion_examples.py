@@ -44,8 +44,6 @@ OTHER_PATTERN = 0.4
 """Share of people whose top has a pattern of no embedded subject."""
 MOST_ERRORS = 3
 """How often poses and shape are put off as those of level `hard` are, at most; each as likely, none among them."""
-SEATED = 0.15
-"""Share of people who sit."""
 LAMP = 0.2
 """By how much of its brightness a place may be brighter or darker, since the lamp was not quite found, at most."""
 
@@ -167,20 +165,18 @@ def watched(
         truth: colours of the person, `[V, 3]`, 0..1.
         betas: the person's shape.
         rng: source of all choices.
-        facing: degrees that a person who hardly turns and stands is turned away from the camera; None: any, any turn,
-            and some sit.
+        facing: degrees that a person who hardly turns is turned away from the camera; None: any, and any turn.
 
     Returns:
         mean colours, `[V, 3]`, and in how many pixels each vertex was seen, `[V]`, summed over the frames.
     """
-    turn, seated = 30.0, False
+    turn = 30.0
     if facing is None:
         facing, turn = (
             float(rng.uniform(0.0, 360.0)),
             float(rng.choice([0.0, 30.0, 30.0, 60.0, 120.0, 180.0])),
         )
-        seated = bool(rng.uniform() < SEATED)
-    take = make_take(60, betas, False, rng, turn=turn, facing=facing, seated=seated)
+    take = make_take(60, betas, False, rng, turn=turn, facing=facing)
     taken_for, shape = take, betas
     for _ in range(rng.integers(MOST_ERRORS + 1)):
         taken_for, shape = disturb_take(taken_for, rng), disturb_shape(shape, rng)

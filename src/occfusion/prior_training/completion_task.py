@@ -30,7 +30,7 @@ from occfusion.prior_training.completion_examples import Example, make_example
 from occfusion.prior_training.task import Batch, PriorTask
 from occfusion.settings.stages import PriorTrainingSettings
 
-VERSION = 3
+VERSION = 2
 """Of the corpus: raised whenever its bytes change."""
 KNOWN_WEIGHT = 0.1
 """In the loss, of what the video shows well; what it does not show counts 1."""
