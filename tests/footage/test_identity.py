@@ -93,15 +93,32 @@ def test_frames_far_apart_in_time_tell_nothing():
 def test_few_frames_and_small_masks_tell_nothing():
     pictures, masks = clip([BARE] * 3 + [DRESSED] * 2)
     require_one_person(pictures, masks, range(5), SECONDS)
-    assert appearance(pictures[0], np.zeros((HEIGHT, WIDTH), bool)) is None
+    assert appearance(pictures[0], np.zeros((HEIGHT, WIDTH), bool), np.ones(3)) is None
     require_one_person(pictures, [np.zeros((HEIGHT, WIDTH), bool)] * 5, range(5), SECONDS)
     assert changes_of_person(np.zeros((0, 864)), np.zeros(0)) == []
 
 
-def test_colours_are_shares_whatever_the_size():
-    (picture,), (mask,) = clip([DRESSED])
-    one = appearance(picture, mask)
-    other = appearance(np.kron(picture, np.ones((3, 3, 1), np.uint8)), np.kron(mask, np.ones((3, 3), bool)))
-    assert one is not None and other is not None
-    np.testing.assert_allclose([one @ one, other @ other], 1.0)
-    assert one @ other > 0.9
+@pytest.mark.parametrize("emerges", [False, True])
+@pytest.mark.parametrize("part", [slice(80, None), slice(0, 80)])
+def test_who_is_hidden_at_once_is_the_same_person(part, emerges):
+    pictures, masks = clip([DRESSED] * FRAMES)
+    for k in range(FRAMES):
+        if (k < FRAMES // 2) == emerges:
+            pictures[k][part, 15 + k : 65 + k] = 90
+            masks[k][part] = False
+    require_one_person(pictures, masks, range(FRAMES), SECONDS)
+
+
+def test_colours_are_counted_against_an_oracle():
+    """Two colours of known areas: the distance of two masks follows from the shares."""
+    picture = np.full((320, 320, 3), 110, np.uint8)
+    picture[100:200, 100:150], picture[100:200, 150:200] = (200, 40, 40), (40, 40, 200)
+    masks = [np.zeros((320, 320), bool) for _ in range(2)]
+    masks[0][100:200, 100:200], masks[1][100:200, 100:150] = True, True
+    both, red = (appearance(picture, mask, np.ones(3)) for mask in masks)
+    assert both is not None and red is not None
+    np.testing.assert_allclose(
+        [both.sum(), red.sum()], [96 * 96, 96 * 46], rtol=0.02
+    )  # a rim of 2 px is left out
+    overlap = (np.sqrt(both / both.sum()) * np.sqrt(red / red.sum())).sum()
+    assert abs(overlap - np.sqrt(0.5)) < 0.02

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import shlex
 from pathlib import Path
@@ -12,6 +13,7 @@ import torch
 from hydra import compose, initialize_config_dir
 
 from occfusion.__main__ import main
+from occfusion.cli.import_clip import height_source
 from occfusion.files.atomic import write_png
 from occfusion.files.jsonfile import load_json
 from occfusion.fitting.anchors import landmark_places
@@ -100,7 +102,7 @@ def test_a_person_is_as_tall_as_was_said(given, tmp_path, capsys):
     assert main([*words, "--height", "1.6"]) == 0
     assert " m, as given" in capsys.readouterr().out
     report = load_json(tmp_path / "fit.json")
-    assert report["height_known"] and abs(report["height_metres"] - 1.6) < 0.02
+    assert report["height_source"] == "as given" and abs(report["height_metres"] - 1.6) < 0.02
     assert report["median_mask_iou"] > 0.85
 
 
@@ -113,6 +115,13 @@ def test_a_height_that_no_person_has_or_that_is_known_already_is_refused(given, 
     assert main(["import", images, *output, "--from", str(tmp_path / "poses.npz"), "--height", "1.7"]) == 1
     assert "has a height already" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_height_is_said_to_be_of_whom_it_is():
+    given, guessed = argparse.Namespace(height=1.7), argparse.Namespace(height=None)
+    assert height_source(given, is_own=True) == "as given"
+    assert "--height" in height_source(guessed, is_own=True)
+    assert "--height" not in height_source(guessed, is_own=False)  # a body of another tool
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from occfusion.cli import import_clip
-from occfusion.cli.import_clip import NOT_TRUSTED, Progress, choice_of, fit_sources, given_of
+from occfusion.cli.import_clip import NOT_TRUSTED, Progress, choice_of, fit_sources, given_of, height_source
 from occfusion.errors import ConfigError
 from occfusion.human import embedded_body, load_body
 from occfusion.importing.folder import FIT_REPORT, said, write_bodies
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         sources, fit = fit_sources(body, sources, arguments, progress)
     facts = {
         "clip": clip.name,
-        "height_known": arguments.height is not None,
+        "height_source": height_source(arguments, is_own=True),
         "seconds": round(time.perf_counter() - begun, 1),
     }
     write_bodies(output, sources, fit, body, embedded=arguments.body is None, facts=facts)

@@ -196,6 +196,20 @@ def fit_sources(
     return sources, aligned_with_masks(body, sources, fit)
 
 
+def height_source(arguments: argparse.Namespace, *, is_own: bool) -> str:
+    """Returns where the height of a body comes from, in words.
+
+    Args:
+        arguments: of the verb.
+        is_own: whether the body is a fit of our own.
+    """
+    if not is_own:
+        return "of the body that was given"
+    if arguments.height is not None:
+        return "as given"
+    return "a guess: one camera does not tell how large a person is (--height)"
+
+
 def finish(
     arguments: argparse.Namespace, sources: Sources, fit: Fit, body: Body, begun: float, *, is_own: bool
 ) -> int:
@@ -208,7 +222,7 @@ def finish(
         "clip": sources.clip.path.name,
         "size": list(sources.shot.size),
         "body": "free body" if arguments.body is None else arguments.body.name,
-        "height_known": arguments.height is not None,
+        "height_source": height_source(arguments, is_own=is_own),
         "seconds": round(time.perf_counter() - begun, 1),
     }
     is_asked = {"auto": is_own, "on": True, "off": False}[arguments.mending]

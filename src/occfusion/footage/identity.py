@@ -8,6 +8,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from occfusion.errors import DataError
 
@@ -19,16 +20,22 @@ SIDE = 320
 """Pixels of the longer side in which colours are counted."""
 CELLS, REACH = (6, 12, 12), (0, 256, 64, 192, 64, 192)
 """Of a histogram over lightness and the two axes of colour (CIE L*a*b* in bytes), and what it covers."""
-GREY = 110.0
-"""What the room's median is made, of 255: a camera that adapts changes the person and the room alike."""
+COMPARED, SAMPLED = 80, 15
+"""Pixels of the longer side, and frames of a clip, by which a camera that adapts is told: it changes the person and the
+room alike."""
+SOFTENED = 0.7
+"""Cells by which colours are spread, standard deviation: shades and noise move them."""
 FEWEST = 50
 """Pixels below which a mask tells nothing of colours."""
 WINDOW, BETWEEN = 3, 3
 """Frames before and after a change, and frames at most between them, in which masks may hold both people."""
 AT_ONCE = 0.35
 """Seconds that a change takes at most: given longer, one person may have turned around."""
-OTHER = 0.22
+OTHER = 0.16
 """Distance from which on colours are of somebody else: 0 alike, 1 nothing in common."""
+NEW, MORE = 0.12, 2.0
+"""Share of the pixels, on either side of the change, whose colours the other side has not half as often: who is hidden
+at once shows fewer colours than before, and no new ones."""
 CLEARER = 2.0
 """How much farther apart frames before and after are than those on one side: who turns around changes all the time."""
 
@@ -46,7 +53,10 @@ def require_one_person(
         numbers: each picture's place in the clip, for messages.
         seconds: time of each picture.
     """
-    colours = [appearance(picture, mask) for picture, mask in zip(pictures, masks, strict=True)]
+    gains = gains_of(pictures, masks)
+    colours = [
+        appearance(picture, mask, gain) for picture, mask, gain in zip(pictures, masks, gains, strict=True)
+    ]
     told = [k for k, row in enumerate(colours) if row is not None]
     if not (
         changes := changes_of_person(
@@ -64,23 +74,46 @@ def require_one_person(
     )
 
 
-def appearance(picture: Picture, mask: Mask) -> Floats | None:
-    """Returns how often each colour is in a mask, as square roots of shares `[C]`; None of too small a mask."""
-    size = [max(1, round(length * SIDE / max(mask.shape))) for length in mask.shape[::-1]]
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+def gains_of(pictures: Sequence[Picture], masks: Sequence[Mask]) -> Floats:
+    """Returns how bright each picture is beside the others outside of the person, by channel, `[N, 3]`."""
+    size = _fitting(masks[0], COMPARED)
+    small = np.stack([cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures]) + 1.0
+    chosen = np.linspace(0, len(small) - 1, min(len(small), SAMPLED)).round().astype(int)
+    ratios = small / np.median(small[chosen], axis=0)
+    out = np.ones((len(small), 3))
+    for k, mask in enumerate(masks):
+        room = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
+        if room.any():
+            out[k] = np.median(ratios[k][room], axis=0)
+    return out
+
+
+def appearance(picture: Picture, mask: Mask, gain: Floats) -> Floats | None:
+    """Returns how many pixels of a mask have each colour, `[C]`; None of too small a mask.
+
+    Args:
+        picture: `[H, W, 3]`, RGB.
+        mask: `[H, W]`.
+        gain: of the picture, `[3]`, which is taken out.
+    """
+    size = _fitting(mask, SIDE)
     person = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     inside = cv2.erode(person, np.ones((5, 5), np.uint8))
     if inside.sum() < FEWEST:
         return None
-    room = cv2.dilate(person, np.ones((9, 9), np.uint8)) == 0
-    if room.any():
-        level = np.maximum(np.median(small[room], axis=0), 10.0)
-        small = np.clip(small * (GREY / level), 0.0, 255.0).astype(np.uint8)
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    small = np.clip(small / gain, 0.0, 255.0).astype(np.uint8)
     lab = cv2.cvtColor(small, cv2.COLOR_RGB2LAB)
-    counts = cv2.calcHist([lab], [0, 1, 2], inside, list(CELLS), list(REACH)).reshape(CELLS[0], -1)
-    # along lightness alone: shades count less than colours
-    rows = cv2.GaussianBlur(counts, (1, 3), 0).ravel().astype(np.float64)
-    return np.asarray(np.sqrt(rows / max(rows.sum(), 1.0)))
+    lab = np.clip(lab, REACH[::2], np.array(REACH[1::2]) - 1).astype(
+        np.uint8
+    )  # the most vivid count as vivid
+    counts = np.reshape(cv2.calcHist([lab], [0, 1, 2], inside, list(CELLS), list(REACH)), CELLS)
+    return np.asarray(gaussian_filter(counts.astype(np.float64), SOFTENED, mode="reflect").ravel())
+
+
+def _fitting(mask: Mask, side: int) -> list[int]:
+    """Returns width and height of a picture whose longer side is `side`."""
+    return [max(1, round(length * side / max(mask.shape))) for length in mask.shape[::-1]]
 
 
 def changes_of_person(colours: Floats, seconds: Floats) -> list[int]:
@@ -90,8 +123,11 @@ def changes_of_person(colours: Floats, seconds: Floats) -> list[int]:
         colours: of frames, `[N, C]`, see `appearance`.
         seconds: their times, `[N]`.
     """
-    apart = 1.0 - colours @ colours.T if len(colours) else np.zeros((0, 0))
-    found: dict[int, float] = {}
+    if len(colours) < 2 * WINDOW:
+        return []
+    roots = np.sqrt(colours / np.maximum(colours.sum(axis=1, keepdims=True), 1.0))
+    apart = 1.0 - roots @ roots.T
+    found: list[tuple[int, float, int]] = []
     for between in range(BETWEEN + 1):
         for k in range(WINDOW, len(colours) - WINDOW - between + 1):
             if seconds[k + between] - seconds[k - 1] > AT_ONCE:
@@ -99,10 +135,20 @@ def changes_of_person(colours: Floats, seconds: Floats) -> list[int]:
             before, after = slice(k - WINDOW, k), slice(k + between, k + between + WINDOW)
             least = float(apart[before, after].min())
             within = max(float(apart[before, before].max()), float(apart[after, after].max()))
-            if least > max(OTHER, CLEARER * within):
-                found[k + between] = max(least, found.get(k + between, 0.0))
+            if least > max(OTHER, CLEARER * within) and _new(colours[before], colours[after]) > NEW:
+                found.append((between, -least, k + between))
     chosen: list[int] = []
-    for row in sorted(found, key=lambda row: -found[row]):  # the clearest of those that are one change
+    for _, _, row in sorted(found):  # of those that are one change the quickest, then the clearest
         if all(abs(row - other) > WINDOW + BETWEEN for other in chosen):
             chosen.append(row)
     return sorted(chosen)
+
+
+def _new(before: Floats, after: Floats) -> float:
+    """Returns the least share of pixels of new colours, of both directions and all pairs of `[W, C]` and `[W, C]`."""
+    pairs = [(one, other) for one in before for other in after]
+    shares = [
+        min(np.maximum(a - MORE * b, 0.0).sum() / max(a.sum(), 1.0) for a, b in ((one, other), (other, one)))
+        for one, other in pairs
+    ]
+    return float(min(shares))

@@ -42,10 +42,6 @@ TRAINED_HEIGHT = 200
 """Pixels that a person is high in training pictures, at least, where the clip has as many."""
 NO_WORD = re.compile(r"null|true|false|[+-]?(nan|inf|[\d._]+(e[+-]?\d+)?)", re.IGNORECASE)
 """What Hydra takes for nothing, a truth value or a number, and writes otherwise."""
-HEIGHT_OF = {
-    True: "as given",
-    False: "a guess: one camera does not tell how large a person is (--height)",
-}
 COVERED = 0.85
 """Share of the body that masks cover, median, from which on nothing stands before the person."""
 
@@ -243,7 +239,7 @@ def _lines(report: dict[str, Any]) -> list[str]:
     lines = [
         f"frames             {report['frames']}",
         f"camera             {report['camera']}; focal length {report['focal_pixels']:.0f} px",
-        f"height             {report['height_metres']:.2f} m, {HEIGHT_OF[report['height_known']]}",
+        f"height             {report['height_metres']:.2f} m, {report['height_source']}",
         f"reprojection       {said('median_reprojection_percent_of_height')} % of the person's height (median)",
         f"body and mask      IoU {said('median_mask_iou')}, "
         f"{said('median_mask_inside_body', 100)} % of the mask inside (median)",
