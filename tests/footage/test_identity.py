@@ -98,6 +98,17 @@ def test_few_frames_and_small_masks_tell_nothing():
     assert changes_of_person(np.zeros((0, 864)), np.zeros(0)) == []
 
 
+def test_a_part_of_the_person_is_nobody_else():
+    """From an arm alone to the trunk alone, as behind a tree: colours have nothing in common."""
+    pictures, masks = clip([DRESSED] * FRAMES)
+    for k in range(6, 18):
+        beside = np.arange(WIDTH) < 40 + k - 12
+        masks[k] &= beside if k < 12 else ~beside & (np.arange(HEIGHT) > 62)[:, None]
+    require_one_person(pictures, masks, range(FRAMES), SECONDS)
+    rows = np.array([appearance(p, m, np.ones(3)) for p, m in zip(pictures, masks, strict=True)])
+    assert changes_of_person(rows, SECONDS) == [12]  # by colours alone
+
+
 @pytest.mark.parametrize("emerges", [False, True])
 @pytest.mark.parametrize("part", [slice(80, None), slice(0, 80)])
 def test_who_is_hidden_at_once_is_the_same_person(part, emerges):

@@ -27,6 +27,8 @@ SOFTENED = 0.7
 """Cells by which colours are spread, standard deviation: shades and noise move them."""
 FEWEST = 50
 """Pixels below which a mask tells nothing of colours."""
+WHOLE = 0.5
+"""Of the usual mask's size, below which a mask shows a part of the person, whose colours need not be all."""
 WINDOW, BETWEEN = 3, 3
 """Frames before and after a change, and frames at most between them, in which masks may hold both people."""
 AT_ONCE = 0.35
@@ -57,12 +59,10 @@ def require_one_person(
     colours = [
         appearance(picture, mask, gain) for picture, mask, gain in zip(pictures, masks, gains, strict=True)
     ]
-    told = [k for k, row in enumerate(colours) if row is not None]
-    if not (
-        changes := changes_of_person(
-            np.array([colours[k] for k in told]), np.array([seconds[k] for k in told])
-        )
-    ):
+    sizes = np.array([0.0 if row is None else row.sum() for row in colours])
+    told = np.flatnonzero(sizes > WHOLE * np.median(sizes)).tolist()
+    changes = changes_of_person(np.array([colours[k] for k in told]), np.array([seconds[k] for k in told]))
+    if not changes:
         return
     ends = [0, *(told[k] for k in changes), len(numbers)]
     longest = max(pairwise(ends), key=lambda part: part[1] - part[0])
@@ -77,7 +77,8 @@ def require_one_person(
 def gains_of(pictures: Sequence[Picture], masks: Sequence[Mask]) -> Floats:
     """Returns how bright each picture is beside the others outside of the person, by channel, `[N, 3]`."""
     size = _fitting(masks[0], COMPARED)
-    small = np.stack([cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures]) + 1.0
+    small = np.stack([cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in pictures])
+    small = small.astype(np.float32) + 1.0
     chosen = np.linspace(0, len(small) - 1, min(len(small), SAMPLED)).round().astype(int)
     ratios = small / np.median(small[chosen], axis=0)
     out = np.ones((len(small), 3))
