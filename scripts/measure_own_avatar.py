@@ -133,9 +133,8 @@ def from_around(
                 ("posed", *posed_truly(rows["betas"], truth["poses"][numbers[frame]], wanted[frame], size)),
             ):
                 seen = around @ np.linalg.inv(view) @ onto
-                seen[:3] /= np.cbrt(
-                    np.linalg.det(seen[:3, :3])
-                )  # a camera of a world that is larger is farther
+                # in a world that is larger the camera is farther
+                seen[:3] /= np.cbrt(np.linalg.det(seen[:3, :3]))
                 camera = Camera(torch.tensor(seen).float(), torch.tensor(small).float(), width, height)
                 drawn = renderer.draw(loaded.avatar(shown, camera.centre), camera).rgb.clamp(0, 1).numpy()
                 out[key].append(-10 * np.log10(((drawn - picture)[box] ** 2).mean()))
