@@ -235,11 +235,11 @@ def _lines(report: dict[str, Any]) -> list[str]:
         value = report[key]
         return "-" if value is None else f"{scale * value:.3g}"
 
-    doubtful = report["doubtful_frames"]
+    doubtful, source = report["doubtful_frames"], report.get("height_source")
     lines = [
         f"frames             {report['frames']}",
         f"camera             {report['camera']}; focal length {report['focal_pixels']:.0f} px",
-        f"height             {report['height_metres']:.2f} m, {report['height_source']}",
+        f"height             {report['height_metres']:.2f} m" + (f", {source}" if source else ""),
         f"reprojection       {said('median_reprojection_percent_of_height')} % of the person's height (median)",
         f"body and mask      IoU {said('median_mask_iou')}, "
         f"{said('median_mask_inside_body', 100)} % of the mask inside (median)",
