@@ -27,15 +27,15 @@ SOFTENED = 0.7
 """Cells by which colours are spread, standard deviation: shades and noise move them."""
 FEWEST = 50
 """Pixels below which a mask tells nothing of colours."""
-WHOLE = 0.5
+WHOLE = 0.35
 """Of the usual mask's size, below which a mask shows a part of the person, whose colours need not be all."""
 WINDOW, BETWEEN = 3, 3
 """Frames before and after a change, and frames at most between them, in which masks may hold both people."""
 AT_ONCE = 0.35
 """Seconds that a change takes at most: given longer, one person may have turned around."""
-OTHER = 0.16
+OTHER = 0.14
 """Distance from which on colours are of somebody else: 0 alike, 1 nothing in common."""
-NEW, MORE = 0.12, 2.0
+NEW, MORE = 0.1, 2.0
 """Share of the pixels, on either side of the change, whose colours the other side has not half as often: who is hidden
 at once shows fewer colours than before, and no new ones."""
 CLEARER = 2.0
