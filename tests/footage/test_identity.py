@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from occfusion.errors import DataError
-from occfusion.footage.identity import appearance, changes_of_person, require_one_person
+from occfusion.footage.identity import (
+    OTHER,
+    appearance,
+    changes_of_person,
+    first_of_another,
+    gains_of,
+    require_one_person,
+)  # fmt: skip
 
 FRAMES, HEIGHT, WIDTH = 24, 160, 120
 SECONDS = np.arange(FRAMES) / 15
@@ -44,6 +51,11 @@ def clip(who, gains=None):
     return pictures, [mask for _, mask in pairs]
 
 
+def plain_colours(pictures, masks):
+    """Returns how many pixels of each colour masks show, as filmed, `[N, C]`."""
+    return np.array([appearance(p, m, np.ones(3)) for p, m in zip(pictures, masks, strict=True)])
+
+
 def test_a_change_of_person_is_named_with_the_longest_part():
     pictures, masks = clip([BARE] * 15 + [DRESSED] * 9)
     with pytest.raises(DataError, match=r"from frame 130 on.*--start 100 --stop 129") as error:
@@ -69,7 +81,10 @@ def test_two_changes_are_both_named():
 def test_a_camera_that_adapts_at_once_changes_nobody(gain):
     half = FRAMES // 2
     gains = [np.ones(3)] * half + [np.array(gain)] * half
-    require_one_person(*clip([BARE] * FRAMES, gains), range(FRAMES), SECONDS)
+    pictures, masks = clip([BARE] * FRAMES, gains)
+    assert first_of_another(pictures, masks, SECONDS) == []
+    np.testing.assert_allclose(gains_of(pictures, masks)[-1] / gains_of(pictures, masks)[0], gain, rtol=0.03)
+    assert changes_of_person(plain_colours(pictures, masks), SECONDS) == [half]  # what the room takes out
 
 
 def test_who_turns_shows_the_back_little_by_little():
@@ -80,7 +95,17 @@ def test_who_turns_shows_the_back_little_by_little():
         shown = np.where(np.arange(WIDTH)[None, :, None] < edge, back, front)
         pictures.append(shown)
         masks.append(mask)
-    require_one_person(pictures, masks, range(FRAMES), SECONDS)
+    assert first_of_another(pictures, masks, SECONDS) == []
+    ends = [*range(6), *range(FRAMES - 6, FRAMES)]  # the turn left out
+    at_once = first_of_another([pictures[k] for k in ends], [masks[k] for k in ends], SECONDS[:12])
+    assert at_once == [6]
+
+
+def test_where_colours_change_all_the_time_they_tell_nothing():
+    pictures, masks = clip([BARE, BACK] * 6 + [DRESSED] * 12)
+    assert first_of_another(pictures, masks, SECONDS) == []
+    pictures, masks = clip([BARE] * 12 + [DRESSED] * 12)
+    assert first_of_another(pictures, masks, SECONDS) == [12]
 
 
 def test_frames_far_apart_in_time_tell_nothing():
@@ -105,19 +130,21 @@ def test_a_part_of_the_person_is_nobody_else():
         beside = np.arange(WIDTH) < 40 + k - 12
         masks[k] &= beside if k < 12 else ~beside & (np.arange(HEIGHT) > 62)[:, None]
     require_one_person(pictures, masks, range(FRAMES), SECONDS)
-    rows = np.array([appearance(p, m, np.ones(3)) for p, m in zip(pictures, masks, strict=True)])
-    assert changes_of_person(rows, SECONDS) == [12]  # by colours alone
+    assert changes_of_person(plain_colours(pictures, masks), SECONDS) == [12]  # by colours alone
 
 
 @pytest.mark.parametrize("emerges", [False, True])
 @pytest.mark.parametrize("part", [slice(80, None), slice(0, 80)])
 def test_who_is_hidden_at_once_is_the_same_person(part, emerges):
-    pictures, masks = clip([DRESSED] * FRAMES)
+    pictures, masks = clip([BARE] * FRAMES)
     for k in range(FRAMES):
         if (k < FRAMES // 2) == emerges:
             pictures[k][part, 15 + k : 65 + k] = 90
             masks[k][part] = False
-    require_one_person(pictures, masks, range(FRAMES), SECONDS)
+    assert first_of_another(pictures, masks, SECONDS) == []
+    rows = np.sqrt(plain_colours(pictures, masks))
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    assert 1.0 - rows[0] @ rows[-1] > OTHER  # by the distance alone it would be another
 
 
 def test_colours_are_counted_against_an_oracle():

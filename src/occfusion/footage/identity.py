@@ -55,6 +55,29 @@ def require_one_person(
         numbers: each picture's place in the clip, for messages.
         seconds: time of each picture.
     """
+    changes = first_of_another(pictures, masks, seconds)
+    if not changes:
+        return
+    ends = [0, *changes, len(numbers)]
+    longest = max(pairwise(ends), key=lambda part: part[1] - part[0])
+    at = ", ".join(str(numbers[k]) for k in changes)
+    raise DataError(
+        f"somebody else seems to be followed from frame {at} on: the colours within the mask change at once. Give one "
+        f"part alone; the longest: --start {numbers[longest[0]]} --stop {numbers[longest[1] - 1] + 1}. Or give masks "
+        "of the person (--masks)."
+    )
+
+
+def first_of_another(
+    pictures: Sequence[Picture], masks: Sequence[Mask], seconds: Sequence[float]
+) -> list[int]:
+    """Returns the pictures from which on the mask is on somebody else; none where it is one person all through.
+
+    Args:
+        pictures: `[H, W, 3]`, RGB.
+        masks: of the person, `[H, W]` each.
+        seconds: time of each picture.
+    """
     gains = gains_of(pictures, masks)
     colours = [
         appearance(picture, mask, gain) for picture, mask, gain in zip(pictures, masks, gains, strict=True)
@@ -62,16 +85,7 @@ def require_one_person(
     sizes = np.array([0.0 if row is None else row.sum() for row in colours])
     told = np.flatnonzero(sizes > WHOLE * np.median(sizes)).tolist()
     changes = changes_of_person(np.array([colours[k] for k in told]), np.array([seconds[k] for k in told]))
-    if not changes:
-        return
-    ends = [0, *(told[k] for k in changes), len(numbers)]
-    longest = max(pairwise(ends), key=lambda part: part[1] - part[0])
-    at = ", ".join(str(numbers[told[k]]) for k in changes)
-    raise DataError(
-        f"somebody else seems to be followed from frame {at} on: the colours within the mask change at once. Give one "
-        f"part alone; the longest: --start {numbers[longest[0]]} --stop {numbers[longest[1] - 1] + 1}. Or give masks "
-        "of the person (--masks)."
-    )
+    return [told[k] for k in changes]
 
 
 def gains_of(pictures: Sequence[Picture], masks: Sequence[Mask]) -> Floats:
