@@ -19,6 +19,7 @@ from occfusion.data.sampling import spread
 from occfusion.geometry.distance import nearest_set, signed_distance
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
+from occfusion.observation.clothes import spread_over_mesh
 from occfusion.observation.evidence import Evidence, person_size
 from occfusion.observation.frames import ObservedFrame
 from occfusion.priors.logistic import fit_logistic, sigmoid
@@ -30,8 +31,6 @@ Mask = NDArray[np.bool_]
 
 FRAMES = 16
 """On which the calibration is fitted."""
-ROUNDS = 40
-"""How often what is measured of clothes is averaged over neighbours on the mesh."""
 THICKNESS_VIEWS = 60
 """Frames at most that say how far clothes stand off, evenly spread; at 256 px one takes about 20 ms."""
 SHIFT = 0.25
@@ -138,7 +137,10 @@ def measure_thickness(
         worn = near & clear & _attached(visible, outline.inside >= 0)
         shown += np.bincount(outline.vertex[worn], minlength=count) * metres
         rim += np.bincount(outline.vertex[edge & clear], minlength=count)
-    return _spread(shown, rim, body.faces.cpu().numpy())
+    if rim.sum() == 0:
+        return np.zeros_like(shown)
+    mean = float(shown.sum() / rim.sum())
+    return spread_over_mesh(shown, rim, body.faces.cpu().numpy(), (mean, 0.5))
 
 
 def _attached(visible: Mask, covered: Mask) -> Mask:
@@ -146,19 +148,6 @@ def _attached(visible: Mask, covered: Mask) -> Mask:
     _, labels = cv2.connectedComponents(visible.astype(np.uint8))
     kept = np.unique(labels[visible & covered])
     return visible & np.isin(labels, kept)
-
-
-def _spread(total: Floats, weight: Floats, faces: NDArray[np.int64]) -> Floats:
-    """Returns `total / weight`, averaged over neighbours on the mesh again and again; weight carries belief."""
-    if weight.sum() == 0:
-        return np.zeros_like(total)
-    mean = float(total.sum() / weight.sum())
-    a, b = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
-    degree = np.maximum(np.bincount(a, minlength=len(total)), 1)
-    for _ in range(ROUNDS):
-        total = 0.5 * total + 0.5 * np.bincount(a, total[b], minlength=len(total)) / degree
-        weight = 0.5 * weight + 0.5 * np.bincount(a, weight[b], minlength=len(weight)) / degree
-    return (total + 0.5 * mean) / (weight + 0.5)
 
 
 def calibrate(

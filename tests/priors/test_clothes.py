@@ -1,0 +1,143 @@
+"""How far clothes reach beyond the body, on upright tubes whose clothes are known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from occfusion.observation.clothes import (
+    BETWEEN,
+    LEAST_LOOKS,
+    MARGIN,
+    measure_reach,
+    reach_in_picture,
+    spread_over_mesh,
+)
+from occfusion.observation.consistency import ProjectedMesh
+from occfusion.observation.evidence import Evidence
+from occfusion.observation.frames import ObservedFrame, PosedBody
+from occfusion.types import Camera
+
+SIZE, FOCAL, DISTANCE, RADIUS, HALF = 240, 300.0, 3.0, 0.1, 0.4  # a pixel is a centimetre
+SECTORS, RINGS = 32, 9
+CAMERA = Camera(
+    torch.eye(4),
+    torch.tensor([[FOCAL, 0.0, SIZE / 2], [0.0, FOCAL, SIZE / 2], [0.0, 0.0, 1.0]]),
+    SIZE,
+    SIZE,
+)
+SIDES = np.arange(SECTORS) % (SECTORS // 2) == 0  # of a ring: its normals lie in the picture
+
+
+def tubes(*middles: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Upright tubes before the camera, one beside another; corners counter-clockwise from outside."""
+    angle = 2.0 * np.pi * np.arange(SECTORS) / SECTORS
+    x, z = RADIUS * np.cos(angle), DISTANCE + RADIUS * np.sin(angle)
+    points, faces = [], []
+    for number, middle in enumerate(middles):
+        for y in np.linspace(-HALF, HALF, RINGS):
+            points.append(np.column_stack([middle + x, np.full(SECTORS, y), z]))
+        for ring in range(RINGS - 1):
+            first = (number * RINGS + ring) * SECTORS
+            for k in range(SECTORS):
+                a, b = first + k, first + (k + 1) % SECTORS
+                faces += [(a, a + SECTORS, b), (b, a + SECTORS, b + SECTORS)]
+    return np.concatenate(points), np.array(faces)
+
+
+def shown(left: float, right: float) -> NDArray[np.bool_]:
+    """Pixels of a person from `left` to `right`, metres beside the axis, higher than the tubes."""
+    beside = (np.arange(SIZE) + 0.5 - SIZE / 2) * DISTANCE / FOCAL
+    return (np.abs(beside) < HALF + 0.05)[:, None] & (beside >= left) & (beside < right)
+
+
+def reach(visible: NDArray[np.bool_], background: NDArray[np.bool_], *middles: float) -> NDArray[np.float64]:
+    """The reach of each ring but the outermost, `[tubes, rings, sectors]`."""
+    vertices, faces = tubes(*middles)
+    found = reach_in_picture(vertices, faces, CAMERA, visible, background, 0.004)
+    return found.reshape(len(middles), RINGS, SECTORS)[:, 1:-1]
+
+
+@pytest.mark.parametrize("loose", [0.0, 0.03, 0.06, 0.15])
+def test_a_skirt_is_as_wide_as_it_is_seen(loose: float) -> None:
+    visible = shown(-RADIUS - loose, RADIUS + loose)
+    (found,) = reach(visible, ~visible, 0.0)
+    assert np.abs(found[:, SIDES] - loose).max() < 0.012  # a pixel
+    towards = 3 * SECTORS // 4
+    assert np.isnan(found[:, towards]).all()  # whose normal points at the camera
+
+
+def test_what_lies_between_two_legs_is_shared() -> None:
+    gap, visible = 0.12, shown(-0.26, 0.26)
+    found = reach(visible, ~visible, -RADIUS - gap / 2, RADIUS + gap / 2)
+    for inner in (found[0, :, 0], found[1, :, SECTORS // 2]):
+        assert np.abs(inner - BETWEEN * gap).max() < 0.012
+    for outer in (found[0, :, SECTORS // 2], found[1, :, 0]):
+        assert np.abs(outer).max() < 0.012
+    bare = shown(-0.26, -gap / 2) | shown(gap / 2, 0.26)
+    assert np.nanmax(reach(bare, ~bare, -RADIUS - gap / 2, RADIUS + gap / 2)) < 0.02
+
+
+def test_an_end_that_may_be_hidden_tells_nothing() -> None:
+    visible = shown(-RADIUS - 0.06, RADIUS + 0.03)  # something stands before the right of it
+    (found,) = reach(visible, ~visible & ~shown(RADIUS + 0.03, 1.2), 0.0)
+    assert np.isnan(found[:, 0]).all()
+    assert np.abs(found[:, SECTORS // 2] - 0.06).max() < 0.012
+
+
+def test_a_normal_through_another_part_of_the_body_tells_nothing() -> None:
+    """It comes out at that one's far side, and what is seen there is not this one's."""
+    visible = shown(-0.35, 0.35)
+    found = reach(visible, ~visible, -RADIUS, RADIUS)
+    assert np.isnan(found[0, :, 0]).all()
+    assert np.isfinite(found[0, :, SECTORS // 2]).all()
+
+
+@pytest.mark.parametrize("moved", [(1.2, 0.0, 0.0), (0.0, 0.0, -DISTANCE), (0.0, 0.0, -9.0)])
+def test_a_body_at_the_edge_or_behind_the_camera_tells_nothing(moved: tuple[float, ...]) -> None:
+    vertices, faces = tubes(0.0)
+    everything = np.ones((SIZE, SIZE), np.bool_)
+    found = reach_in_picture(vertices + np.array(moved), faces, CAMERA, everything, ~everything, 0.004)
+    assert np.isnan(found).all()
+
+
+def observed(visible: NDArray[np.bool_]) -> ObservedFrame:
+    vertices, _ = tubes(0.0)
+    pixels = FOCAL * vertices[:, :2] / vertices[:, 2:] + SIZE / 2
+    posed = PosedBody(vertices, np.zeros((18, 3)), ProjectedMesh(pixels, vertices[:, 2]))
+    nothing = np.zeros_like(visible)
+    return ObservedFrame(0, lambda: posed, Evidence(nothing, ~visible, nothing, 0.0, False, 0.0))
+
+
+def test_the_median_of_the_frames_less_a_margin() -> None:
+    visible = [shown(-RADIUS - loose, RADIUS + loose) for loose in (0.0, 0.1, 0.1, 0.12, 0.28)]
+    frames = [SimpleNamespace(visible_mask=torch.from_numpy(each), camera=CAMERA) for each in visible]
+    body = cast(Any, SimpleNamespace(faces=torch.from_numpy(tubes(0.0)[1])))
+
+    def measured(count: int) -> NDArray[np.float64]:
+        everywhere = measure_reach(
+            [observed(each) for each in visible], lambda k: cast(Any, frames[k]), body, range(count)
+        )
+        return everywhere.reshape(RINGS, SECTORS)[1:-1]
+
+    found = measured(5)
+    assert np.abs(found[:, SIDES] - (0.1 - MARGIN * DISTANCE / FOCAL)).max() < 0.012
+    assert found.min() > 0.02  # what no frame tells has what neighbours have
+    assert not measured(LEAST_LOOKS - 1).any()
+
+
+def test_what_is_spread_over_a_mesh() -> None:
+    _, faces = tubes(0.0)
+    count = RINGS * SECTORS
+    weight = np.zeros(count)
+    weight[::7] = 1.0
+    assert np.allclose(spread_over_mesh(3.0 * weight, weight, faces), 3.0)
+    assert np.allclose(spread_over_mesh(np.zeros(count), np.zeros(count), faces, (0.2, 0.5)), 0.2)
+    upper = np.where(np.arange(count) < count // 2, 1.0, 0.0)
+    found = spread_over_mesh(upper, np.ones(count), faces).reshape(RINGS, SECTORS).mean(axis=1)
+    assert (np.diff(found) <= 1e-12).all() and 0.0 < found[-1] < found[0] < 1.0
