@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,6 +11,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from occfusion.human.body import embedded_body
 from occfusion.observation.clothes import (
     BETWEEN,
     LEAST_LOOKS,
@@ -21,10 +23,13 @@ from occfusion.observation.clothes import (
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import Evidence
 from occfusion.observation.frames import ObservedFrame, PosedBody
+from occfusion.synth.scene import Scene
+from occfusion.synth.spec import SceneSpec
 from occfusion.types import Camera
 
 SIZE, FOCAL, DISTANCE, RADIUS, HALF = 240, 300.0, 3.0, 0.1, 0.4  # a pixel is a centimetre
 SECTORS, RINGS = 32, 9
+BODY = embedded_body()
 CAMERA = Camera(
     torch.eye(4),
     torch.tensor([[FOCAL, 0.0, SIZE / 2], [0.0, FOCAL, SIZE / 2], [0.0, 0.0, 1.0]]),
@@ -141,3 +146,23 @@ def test_what_is_spread_over_a_mesh() -> None:
     upper = np.where(np.arange(count) < count // 2, 1.0, 0.0)
     found = spread_over_mesh(upper, np.ones(count), faces).reshape(RINGS, SECTORS).mean(axis=1)
     assert (np.diff(found) <= 1e-12).all() and 0.0 < found[-1] < found[0] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"), [("003-clean-front", 0.05, 0.25), ("011-clean-front", 0.0, 0.03)]
+)
+def test_a_dressed_person_wears_a_skirt_or_none(name: str, least: float, most: float) -> None:
+    """The quarter of the thighs that clothes reach farthest from: between the legs, and beside them."""
+    scene = Scene(replace(SceneSpec.parse(name), image_size=128, frames=24, cameras=1))
+    camera = scene.cameras[0]
+    view = Camera(torch.from_numpy(camera.viewmat), torch.from_numpy(camera.K), 128, 128)
+    template = BODY.da_vertices().numpy()
+    thighs = (template[:, 1] > -0.4) & (template[:, 1] < -0.2)
+    found = []
+    for k in range(0, 24, 3):
+        mask = next(scene.shots(k)).mask
+        vertices = scene.parameters(k).vertices
+        found.append(reach_in_picture(vertices, BODY.faces.numpy(), view, mask, ~mask, 0.01)[thighs])
+    each = np.stack(found)
+    told = each[:, np.isfinite(each).sum(axis=0) >= LEAST_LOOKS]
+    assert least <= np.percentile(np.nanmedian(told, axis=0), 75) <= most
