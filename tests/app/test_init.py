@@ -14,8 +14,9 @@ from occfusion.errors import DataError, NumericsError
 from occfusion.files.images import read_mask
 from occfusion.files.run_folder import RunFolder
 from occfusion.human import Body, load_body
+from occfusion.observation.clothes import measure_thickness
 from occfusion.observation.frames import Observation, ObservedFrame, observe_frames
-from occfusion.priors.calibration import STILL, Calibration, calibrate, measure_thickness
+from occfusion.priors.calibration import STILL, Calibration, calibrate
 from occfusion.priors.embedded.network_file import save_net
 from occfusion.priors.embedded.silhouette_net import SILHOUETTE, load_silhouette_net
 from occfusion.priors.masks import MaskPrior
@@ -279,7 +280,7 @@ def test_thickness_of_clothes_is_what_stands_off_the_body(data: ZjuDataModule, b
         dressed = cv2.dilate(covered.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
         frames.append(type(frame)(**{**vars(frame), "visible_mask": torch.from_numpy(dressed)}))
     observed_frames = observe_frames(frames, body)
-    found = measure_thickness(observed_frames, lambda k: frames[k], body)
+    found = measure_thickness(observed_frames, lambda k: frames[k], body, range(len(frames)))
     pixel = float(np.median(observed_frames[0].projected.depths)) / float(camera.K[0, 0])
     assert found.mean() == pytest.approx(pixel, rel=0.25)
     naked = [
@@ -291,7 +292,8 @@ def test_thickness_of_clothes_is_what_stands_off_the_body(data: ZjuDataModule, b
             view_body(*vars(observed_frame.projected).values(), body.faces.numpy(), 96, 96).coverage > 0.5
         )
         frame.visible_mask.copy_(torch.from_numpy(covered))
-    assert measure_thickness(observe_frames(naked, body), lambda k: naked[k], body).mean() < 0.35 * pixel
+    bare = measure_thickness(observe_frames(naked, body), lambda k: naked[k], body, range(len(naked)))
+    assert bare.mean() < 0.35 * pixel
 
 
 # -- weights --------------------------------------------------------------------------------------------------

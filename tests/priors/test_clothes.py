@@ -11,6 +11,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from occfusion.geometry.mesh_spread import spread_over_mesh
 from occfusion.human.body import embedded_body
 from occfusion.observation.clothes import (
     BETWEEN,
@@ -18,7 +19,6 @@ from occfusion.observation.clothes import (
     MARGIN,
     measure_reach,
     reach_in_picture,
-    spread_over_mesh,
 )
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import Evidence

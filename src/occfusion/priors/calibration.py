@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occfusion.data.sampling import spread
-from occfusion.geometry.distance import nearest_set, signed_distance
-from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
-from occfusion.observation.clothes import spread_over_mesh
+from occfusion.observation.clothes import CLOTHES_VIEWS, NEAR, measure_thickness, outline_of
 from occfusion.observation.evidence import Evidence, person_size
 from occfusion.observation.frames import ObservedFrame
 from occfusion.priors.logistic import fit_logistic, sigmoid
@@ -31,12 +29,8 @@ Mask = NDArray[np.bool_]
 
 FRAMES = 16
 """On which the calibration is fitted."""
-THICKNESS_VIEWS = 60
-"""Frames at most that say how far clothes stand off, evenly spread; at 256 px one takes about 20 ms."""
 SHIFT = 0.25
 """Of the person's size: how far a borrowed occluder may stand from where it was."""
-NEAR = 0.12
-"""Metres from the body's outline: what lies farther decides nothing."""
 SCALE = 0.02
 """Metres: the unit of distance in the regression."""
 MAX_LOGIT = 6.0
@@ -79,75 +73,15 @@ class Calibration:
         """Returns the corrected probability, `[H, W]`."""
         if self.weights == STILL:
             return probability
-        outline = _outline(observed_frame, camera, body)
+        outline = outline_of(observed_frame, camera, body)
         scores = _features(probability, outline.depth_inside(self.thickness)) @ np.array(self.weights)
         return sigmoid(scores).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class _Outline:
-    """Distance of each pixel to the body's outline, metres, inside positive; and the vertex that it is nearest to."""
-
-    inside: Floats
-    vertex: NDArray[np.int64]
-
-    def depth_inside(self, thickness: Floats) -> Floats:
-        return self.inside + thickness[self.vertex]
-
-
-def _outline(observed_frame: ObservedFrame, camera: Camera, body: Body) -> _Outline:
-    faces, projected = body.faces.cpu().numpy(), observed_frame.projected
-    seen = rasterize_mesh(projected.pixels, projected.depths, faces, camera.width, camera.height)
-    covered = seen.face >= 0
-    metres = float(np.median(projected.depths)) / float(camera.K[0, 0])
-    corner = faces[np.maximum(seen.face, 0), seen.barycentrics.argmax(axis=-1)]
-    # where the picture shows nothing of the body, all is far from it, and from which vertex makes no difference
-    nearest = corner.ravel()[nearest_set(covered)] if covered.any() else np.zeros(covered.shape, np.int64)
-    to_edge = signed_distance(covered) + np.where(covered, -0.5, 0.5)  # which runs between two pixels
-    return _Outline((to_edge * metres).astype(np.float64), nearest.astype(np.int64))
 
 
 def _features(probability: NDArray[np.floating], depth_inside: Floats) -> Floats:
     p = np.clip(np.asarray(probability, np.float64), 1e-6, 1.0 - 1e-6)
     logit = np.clip(np.log(p / (1.0 - p)), -MAX_LOGIT, MAX_LOGIT)
     return np.stack([logit, np.clip(depth_inside, -NEAR, NEAR) / SCALE, np.ones_like(p)], axis=-1)
-
-
-def measure_thickness(
-    observed_frames: Sequence[ObservedFrame], read: Callable[[int], Frame], body: Body
-) -> Floats:
-    """Returns how far clothes stand off the body at each vertex, `[V]`, metres.
-
-    For each point of the body's outline in each frame: how many of the known pixels outside and nearest to it show the
-    person. Means over `THICKNESS_VIEWS` frames at most, spread over the mesh where little was seen.
-    """
-    count = body.num_vertices
-    shown, rim = np.zeros(count), np.zeros(count)
-    for position in spread(len(observed_frames), THICKNESS_VIEWS):
-        observed_frame, frame = observed_frames[position], read(position)
-        visible = frame.visible_mask.cpu().numpy()
-        outline = _outline(observed_frame, frame.camera, body)
-        metres = float(np.median(observed_frame.projected.depths)) / float(frame.camera.K[0, 0])
-        known = visible | observed_frame.evidence.background
-        edge = (outline.inside < 0) & (outline.inside > -1.0 * metres)
-        # a stretch of outline counts only where what lies before it is known
-        near = (outline.inside < 0) & (outline.inside > -0.5 * NEAR)
-        unknown = np.bincount(outline.vertex[near & ~known], minlength=count)
-        clear = unknown[outline.vertex] == 0
-        worn = near & clear & _attached(visible, outline.inside >= 0)
-        shown += np.bincount(outline.vertex[worn], minlength=count) * metres
-        rim += np.bincount(outline.vertex[edge & clear], minlength=count)
-    if rim.sum() == 0:
-        return np.zeros_like(shown)
-    mean = float(shown.sum() / rim.sum())
-    return spread_over_mesh(shown, rim, body.faces.cpu().numpy(), (mean, 0.5))
-
-
-def _attached(visible: Mask, covered: Mask) -> Mask:
-    """Returns the visible pixels that hang together with those on the body."""
-    _, labels = cv2.connectedComponents(visible.astype(np.uint8))
-    kept = np.unique(labels[visible & covered])
-    return visible & np.isin(labels, kept)
 
 
 def calibrate(
@@ -161,7 +95,8 @@ def calibrate(
         read: gives the training frame at a position.
         body: of the scene.
     """
-    thickness = measure_thickness(observed_frames, read, body)
+    looks = spread(len(observed_frames), CLOTHES_VIEWS)
+    thickness = measure_thickness(observed_frames, read, body, looks)
     occluded = [k for k, observed_frame in enumerate(observed_frames) if observed_frame.evidence.occluded]
     shown = sorted(range(len(observed_frames)), key=lambda k: observed_frames[k].evidence.hidden_share)
     shown = sorted(shown[: 2 * FRAMES])
@@ -179,7 +114,7 @@ def calibrate(
             observation, visible=visible & ~hidden, background=observed_frame.evidence.background & ~hidden
         )
         answer = checked_probability(prior, observation)
-        depth = _outline(observed_frame, frame.camera, body).depth_inside(thickness)
+        depth = outline_of(observed_frame, frame.camera, body).depth_inside(thickness)
         asked = hidden & known & (np.abs(depth) < NEAR)
         rows.append(_features(answer[asked], depth[asked]))
         labels.append(visible[asked])

@@ -23,7 +23,7 @@ from occfusion.human.observability import ObservedSurface, observe_surface
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.inpaint.completion_net import check_completion_net
-from occfusion.observation.clothes import measure_reach
+from occfusion.observation.clothes import CLOTHES_VIEWS, measure_clothes
 from occfusion.observation.frames import ObservedFrame, observe_frames
 from occfusion.observation.light import Light, observe_light
 from occfusion.observation.pose_alignment import Alignment, aligned_pose
@@ -34,7 +34,6 @@ from occfusion.plan.decisions import is_alignment_asked, may_leave_out_networks
 from occfusion.plan.hidden import with_everything
 from occfusion.plan.make import Plan, make_plan, reached_sh_degree
 from occfusion.priors.build_prior import check_score_prior
-from occfusion.priors.calibration import THICKNESS_VIEWS, measure_thickness
 from occfusion.run.bodies import make_body, make_data
 from occfusion.run.environment import accelerator_of
 from occfusion.run.evaluation import evaluation_metric
@@ -230,12 +229,8 @@ def _observe_surface(
 ) -> ObservedSurface:
     vertices, faces = body.da_vertices().cpu().numpy(), body.faces.cpu().numpy()
     known = observe_surface(coverage.coverage, vertices, faces)
-    read = partial(data.train_frame, truth=False)
-    looks = spread(len(observed_frames), THICKNESS_VIEWS)
-    # tight clothes are told by the first, skirts and coats by the second
-    thickness = np.maximum(
-        measure_thickness(observed_frames, read, body), measure_reach(observed_frames, read, body, looks)
-    )
+    looks = spread(len(observed_frames), CLOTHES_VIEWS)
+    thickness = measure_clothes(observed_frames, partial(data.train_frame, truth=False), body, looks)
     focal = float(data.train_frame(0, truth=False).camera.K[0, 0])
     depths = [np.median(frame.projected.depths) for frame in evenly(observed_frames, COVERAGE_VIEWS)]
     depth = float(np.median(depths))
