@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from occfusion.cli.interrupts import keep_interrupts
-from occfusion.cpu.loading import loading
+from occfusion.cpu.loading import loading, loading_to_draw
 from occfusion.errors import OccfusionError
 
 TRAIN = "train"
@@ -32,6 +32,8 @@ VERBS = {
 }
 MODULES = {"import": "import_clip"}
 """Modules of verbs whose word is one of Python's own."""
+DRAWS = "render"
+"""The verb that does nothing but draw."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -86,7 +88,7 @@ def _run_verb(arguments: list[str]) -> int:
 def _module(verb: str) -> ModuleType:
     name = f"occfusion.cli.{MODULES.get(verb, verb.replace('-', '_'))}"
     if name not in sys.modules:
-        with loading():
+        with loading_to_draw() if verb == DRAWS else loading():
             importlib.import_module(name)
     return sys.modules[name]
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import importlib
+import importlib.util
 import os
+import sys
 from collections.abc import Iterator
+from types import ModuleType
 
 OPENCV_THREADS = "OPENCV_FOR_THREADS_NUM"
 """Of the environment: threads of OpenCV, which reads it when it is loaded."""
@@ -28,3 +32,43 @@ def loading() -> Iterator[None]:
         gc.freeze()
         if was_on:
             gc.enable()
+
+
+TRACING = "torch._meta_registrations"
+"""What `import torch` loads for programs that trace or compile models: a quarter of its time."""
+COMPILED_BLAS = "scipy.linalg.cython_blas"
+"""What numba loads, SciPy's linear algebra with it, for kernels that take covariances."""
+COMPILES = "gsplat"
+"""The one package with which drawing may trace something."""
+
+
+@contextlib.contextmanager
+def loading_to_draw() -> Iterator[None]:
+    """As `loading`, without what drawing an avatar does not need: a quarter of the time until the first picture.
+
+    For processes that do nothing else: who traces or compiles a model in one afterwards has to import
+    `torch._meta_registrations` first, and kernels of numba cannot call `np.cov`. What is loaded already stays as it is.
+    """
+    with loading():
+        if importlib.util.find_spec(COMPILES) is None:
+            with _stood_in_for(TRACING, ModuleType(TRACING), of="torch"):
+                import torch  # noqa: F401
+        with _stood_in_for(COMPILED_BLAS, None, of="numba.np.arraymath"):
+            importlib.import_module("numba.np.arraymath")
+        yield
+
+
+@contextlib.contextmanager
+def _stood_in_for(name: str, module: ModuleType | None, *, of: str) -> Iterator[None]:
+    """Puts something in a module's place while `of` is imported, if neither is there; None: as if it were missing."""
+    if name in sys.modules or of in sys.modules:
+        yield
+        return
+    sys.modules[name] = module  # type: ignore[assignment]  # None is how Python is told that there is none
+    try:
+        yield
+    finally:
+        del sys.modules[name]
+        package, _, attribute = name.rpartition(".")
+        if package in sys.modules:
+            vars(sys.modules[package]).pop(attribute, None)
