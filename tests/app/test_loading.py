@@ -8,6 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from occfusion.cpu import loading
+
+is_left_out = pytest.mark.skipif(not loading.is_torch_checked(), reason="this torch is loaded whole")
+
 LEFT_OUT = ("torch._decomp", "torch._prims", "scipy.linalg")
 
 
@@ -17,6 +21,7 @@ def told_by(code: str) -> str:
     return done.stdout.strip()
 
 
+@is_left_out
 @pytest.mark.parametrize(
     ("way", "expected"), [("loading_to_draw", [False] * len(LEFT_OUT)), ("loading", [True] * len(LEFT_OUT))]
 )
@@ -44,6 +49,23 @@ def test_both_can_be_had_afterwards() -> None:
     assert told == "4.0 6.0"
 
 
+@pytest.mark.parametrize(
+    ("release", "package", "expected"),
+    [
+        ("2.13.1+cpu", "nowhere", True),
+        ("2.11.0", "nowhere", False),
+        ("2.14.0", "nowhere", False),
+        ("2.13.0", "json", False),
+    ],
+)
+def test_a_torch_that_nobody_has_tried_is_loaded_whole(
+    release: str, package: str, expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.metadata.version", lambda _: release)
+    monkeypatch.setattr(loading, "COMPILES", package)
+    assert loading.is_torch_checked() is expected
+
+
 def test_what_is_loaded_already_stays() -> None:
     told = told_by(
         "import sys, torch, numba.np.arraymath, scipy.linalg.cython_blas\n"
@@ -56,6 +78,7 @@ def test_what_is_loaded_already_stays() -> None:
     assert told == "True True"
 
 
+@is_left_out
 def test_the_verb_render_loads_so(tmp_path: Path) -> None:
     """The verb is loaded before it finds that there is no such run."""
     code = (

@@ -40,6 +40,8 @@ COMPILED_BLAS = "scipy.linalg.cython_blas"
 """What numba loads, SciPy's linear algebra with it, for kernels that take covariances."""
 COMPILES = "gsplat"
 """The one package with which drawing may trace something."""
+CHECKED = ("2.13",)
+"""Versions of torch that can be imported so; others are loaded whole."""
 
 
 @contextlib.contextmanager
@@ -50,12 +52,23 @@ def loading_to_draw() -> Iterator[None]:
     `torch._meta_registrations` first, and kernels of numba cannot call `np.cov`. What is loaded already stays as it is.
     """
     with loading():
-        if importlib.util.find_spec(COMPILES) is None:
+        if is_torch_checked():
             with _stood_in_for(TRACING, ModuleType(TRACING), of="torch"):
                 import torch  # noqa: F401
         with _stood_in_for(COMPILED_BLAS, None, of="numba.np.arraymath"):
             importlib.import_module("numba.np.arraymath")
         yield
+
+
+def is_torch_checked() -> bool:
+    """Returns whether torch can do without its tables for tracing: by its version, and by who else may ask for them."""
+    from importlib.metadata import PackageNotFoundError, version  # which torch loads as well
+
+    try:
+        release = ".".join(version("torch").split(".")[:2])
+    except PackageNotFoundError:  # built by hand
+        return False
+    return release in CHECKED and importlib.util.find_spec(COMPILES) is None
 
 
 @contextlib.contextmanager
