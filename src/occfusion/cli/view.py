@@ -9,7 +9,7 @@ import sys
 import webbrowser
 from pathlib import Path
 
-from occfusion.cpu.loading import loading, loading_to_draw
+from occfusion.cpu.loading import loading
 from occfusion.errors import ConfigError
 from occfusion.viewer.room import furnish
 
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.browser and not webbrowser.open(address):
         print("--browser: no browser was found here; open the address above in one", file=sys.stderr)
     try:
-        with loading_to_draw():  # takes seconds, in which the browser gets the page
+        with loading():  # takes seconds, in which the browser gets the page
             from occfusion.viewer.page import Page, names_of
 
         page = Page(server, names_of(arguments.runs), arguments.motion, arguments.drawn_by)

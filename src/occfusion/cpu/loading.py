@@ -9,6 +9,7 @@ import importlib.util
 import os
 import sys
 from collections.abc import Iterator
+from importlib.abc import MetaPathFinder
 from types import ModuleType
 
 OPENCV_THREADS = "OPENCV_FOR_THREADS_NUM"
@@ -36,6 +37,8 @@ def loading() -> Iterator[None]:
 
 TRACING = "torch._meta_registrations"
 """What `import torch` loads for programs that trace or compile models: a quarter of its time."""
+TABLES = (TRACING, "torch._prims", "torch._decomp", "torch._refs")
+"""That, and what it loads."""
 COMPILED_BLAS = "scipy.linalg.cython_blas"
 """What numba loads, SciPy's linear algebra with it, for kernels that take covariances."""
 COMPILES = "gsplat"
@@ -48,16 +51,32 @@ CHECKED = ("2.13",)
 def loading_to_draw() -> Iterator[None]:
     """As `loading`, without what drawing an avatar does not need: a quarter of the time until the first picture.
 
-    For processes that do nothing else: who traces or compiles a model in one afterwards has to import
-    `torch._meta_registrations` first, and kernels of numba cannot call `np.cov`. What is loaded already stays as it is.
+    Whoever imports another part of torch afterwards, as Lightning does, gets what was left out of it first; kernels of
+    numba cannot call `np.cov` in such a process. For one thread; what is loaded already stays as it is.
     """
     with loading():
         if is_torch_checked():
             with _stood_in_for(TRACING, ModuleType(TRACING), of="torch"):
                 import torch  # noqa: F401
+            if TRACING not in sys.modules:
+                sys.meta_path.insert(0, _TablesFirst())
         with _stood_in_for(COMPILED_BLAS, None, of="numba.np.arraymath"):
             importlib.import_module("numba.np.arraymath")
         yield
+
+
+class _TablesFirst(MetaPathFinder):
+    """Finds nothing, but has torch's tables for tracing loaded before the first part of it that asks for them.
+
+    Drawing imports no other part. Those that trace import each other in a circle which the tables have to begin.
+    """
+
+    def find_spec(self, fullname: str, path: object, target: object = None) -> None:
+        """Loads the tables, once, where a part of torch is asked for that they do not load themselves."""
+        if fullname.startswith("torch.") and self in sys.meta_path:
+            sys.meta_path.remove(self)
+            if not fullname.startswith(TABLES):
+                importlib.import_module(TRACING)
 
 
 def is_torch_checked() -> bool:
