@@ -14,6 +14,16 @@ from types import ModuleType
 
 OPENCV_THREADS = "OPENCV_FOR_THREADS_NUM"
 """Of the environment: threads of OpenCV, which reads it when it is loaded."""
+TRACING = "torch._meta_registrations"
+"""What `import torch` loads for programs that trace or compile models: a quarter of its time."""
+TABLES = (TRACING, "torch._prims", "torch._decomp", "torch._refs")
+"""That, and what it loads."""
+COMPILED_BLAS = "scipy.linalg.cython_blas"
+"""What numba loads, SciPy's linear algebra with it, for kernels that take covariances."""
+COMPILES = "gsplat"
+"""The one package with which drawing may trace something."""
+CHECKED = ("2.13",)
+"""Versions of torch that can be imported so; others are loaded whole."""
 
 
 @contextlib.contextmanager
@@ -33,18 +43,6 @@ def loading() -> Iterator[None]:
         gc.freeze()
         if was_on:
             gc.enable()
-
-
-TRACING = "torch._meta_registrations"
-"""What `import torch` loads for programs that trace or compile models: a quarter of its time."""
-TABLES = (TRACING, "torch._prims", "torch._decomp", "torch._refs")
-"""That, and what it loads."""
-COMPILED_BLAS = "scipy.linalg.cython_blas"
-"""What numba loads, SciPy's linear algebra with it, for kernels that take covariances."""
-COMPILES = "gsplat"
-"""The one package with which drawing may trace something."""
-CHECKED = ("2.13",)
-"""Versions of torch that can be imported so; others are loaded whole."""
 
 
 @contextlib.contextmanager
