@@ -105,7 +105,8 @@ def hidden_joints(take: Take, betas: Floats, occluder: Occluder | None, width: f
             before = np.minimum(before, _depth(thing.vertices, thing.faces, camera))
         column, row = np.clip(pixels.astype(int), 0, SEEN_SIZE - 1).T
         found[frame] = before[row, column] < depth
-    return np.asarray(gaussian_filter1d(found, SMOOTH, axis=0, mode="nearest"))
+    smooth = gaussian_filter1d(found, SMOOTH, axis=0, mode="nearest")
+    return np.clip(smooth, 0.0, 1.0)  # weights that add up to one do so but for rounding
 
 
 def _project(points: Floats, camera: StudioCamera) -> tuple[Floats, Floats]:
