@@ -10,9 +10,9 @@ import pytest
 
 from occfusion.cpu import loading
 
-is_left_out = pytest.mark.skipif(not loading.is_torch_checked(), reason="this torch is loaded whole")
-
 LEFT_OUT = ("torch._decomp", "torch._prims", "scipy.linalg")
+IS_WHOLE = not loading.is_torch_checked()
+"""Whether the torch that is here is loaded whole in any case."""
 
 
 def told_by(code: str) -> str:
@@ -21,9 +21,9 @@ def told_by(code: str) -> str:
     return done.stdout.strip()
 
 
-@is_left_out
 @pytest.mark.parametrize(
-    ("way", "expected"), [("loading_to_draw", [False] * len(LEFT_OUT)), ("loading", [True] * len(LEFT_OUT))]
+    ("way", "expected"),
+    [("loading_to_draw", [IS_WHOLE, IS_WHOLE, False]), ("loading", [True] * len(LEFT_OUT))],
 )
 def test_what_only_tracing_and_linear_algebra_need_is_left_to_others(way: str, expected: list[bool]) -> None:
     told = told_by(
@@ -94,5 +94,5 @@ def test_a_command_draws_in_a_process_of_its_own(
         f"status = main(['render', {str(short_run)!r}, *words])\n"
         "print(status, 'torch._decomp' in sys.modules)"
     )
-    assert told.splitlines()[-1] == f"0 {not (is_lean and loading.is_torch_checked())}"
+    assert told.splitlines()[-1] == f"0 {IS_WHOLE or not is_lean}"
     assert len(list((tmp_path / "p").rglob("*.png"))) == 1
