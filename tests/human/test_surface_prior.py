@@ -12,6 +12,7 @@ import torch
 from occfusion.geometry.normals import vertex_normals
 from occfusion.human import Avatar, Gaussians
 from occfusion.human.body import Body
+from occfusion.human.gaussians import starting_sizes
 from occfusion.human.observability import UNSURE, Observability, ObservedSurface, canonical_views
 from occfusion.human.rendering import Renderer
 from occfusion.human.surface_terms import (
@@ -22,6 +23,7 @@ from occfusion.human.surface_terms import (
     OUTWARDS,
     THICK,
     TILT_SCALE,
+    WIDE,
     KnownSurface,
     depth_and_extent,
     hold,
@@ -288,6 +290,8 @@ def test_nothing_leaves_the_room_that_ignorance_gives(free_body, backend):
     for direction, bound in ((normals, THICK), (torch.tensor([0.0, 0.0, 1.0]).expand_as(normals), LONG)):
         along = (gaussians.roots() * direction[:, :, None]).sum(dim=1)
         assert float(along.abs().max()) <= bound + 1e-5
+    widest = WIDE * starting_sizes(avatar.da_vertices)[rows, None]
+    assert bool((gaussians.scales <= 1.0001 * widest).all()) and bool((gaussians.scales > 0.9999 * widest).any())
 
 
 @BACKENDS
@@ -324,7 +328,7 @@ def known_of(body: Body, dtype: torch.dtype) -> KnownSurface:
     )
     thickness, ignorance = (torch.rand(count, generator=generator) for _ in range(2))
     vertices = body.da_vertices()
-    values = vertices, normals, vertices + 0.01 * normals, 0.02 * thickness, axis, ignorance
+    values = vertices, normals, vertices + 0.01 * normals, 0.02 * thickness, axis, ignorance, 0.02 * ignorance.roll(1)
     return KnownSurface(*(value.to(dtype) for value in values))
 
 

@@ -93,7 +93,7 @@ class Gaussians(nn.Module):
     ) -> Gaussians:
         """Returns one Gaussian on each vertex of the mean-shape body in the Da pose, grey and faint.
 
-        Its size is the root of the mean squared distance to its three nearest neighbours.
+        Its size is that of `starting_sizes`.
 
         Args:
             body: whose surface.
@@ -105,9 +105,9 @@ class Gaussians(nn.Module):
         """
         vertices = body.da_vertices()
         means = torch.cat([vertices, _middles_of_largest(vertices, body.faces, least - len(vertices))])
-        distances = nearest_others(means, min(INITIAL_NEIGHBOURS, len(means) - 1)).distances
-        sizes = distances.square().mean(dim=1, keepdim=True).sqrt()
-        gaussians, index = cls(means, sizes.expand(-1, 3), sh_degree), nearest(means, vertices).indices[:, 0]
+        sizes = starting_sizes(means)
+        gaussians = cls(means, sizes[:, None].expand(-1, 3), sh_degree)
+        index = nearest(means, vertices).indices[:, 0]
         gaussians.set_vertex_index(index)
         if thickness or heights is not None:
             found = vertex_normals(vertices.double().cpu().numpy(), body.faces.cpu().numpy())
@@ -219,6 +219,17 @@ class Gaussians(nn.Module):
                 have.grad = None
         super()._load_from_state_dict(state_dict, prefix, *args)
         self.revision += 1
+
+
+def starting_sizes(points: Tensor) -> Tensor:
+    """Returns standard deviations of Gaussians that begin at points, `[N]`, metres: as far as these are apart.
+
+    The root of the mean squared distance to the three nearest others, as in 3DGS.
+
+    Args:
+        points: `[N, 3]`, metres.
+    """
+    return nearest_others(points, min(INITIAL_NEIGHBOURS, len(points) - 1)).distances.square().mean(dim=1).sqrt()
 
 
 def _middles_of_largest(vertices: Tensor, faces: Tensor, count: int) -> Tensor:

@@ -35,7 +35,7 @@ MARGIN = 0.005
 """Metres beyond the clothes that an outline may reach."""
 REACH = 0.25
 """Metres outside the body within which nothing may be drawn; farther off, few rays would be spent well."""
-UNSURE = 0.015
+UNSURE = 0.010
 """Metres that clothes stand off at which half of it is believed."""
 AWAY = -0.1
 """Cosine of normal and line of sight below which a place faces away from a canonical view."""

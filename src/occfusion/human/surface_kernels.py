@@ -24,6 +24,7 @@ from occfusion.human.surface_terms import (
     OUTWARDS,
     THICK,
     TILT_SCALE,
+    WIDE,
     KnownSurface,
 )
 
@@ -105,7 +106,7 @@ def hold(gaussians: Gaussians, surface: KnownSurface) -> None:
         _hold, gaussians.means.detach().numpy(), array_of(gaussians.raw_quats),
         gaussians.log_scales.detach().numpy(), array_of(gaussians.vertex_index),
         *map(array_of, (
-            surface.vertices, surface.normals, surface.thickness, surface.axis, surface.ignorance,
+            surface.vertices, surface.normals, surface.thickness, surface.axis, surface.ignorance, surface.sizes,
         )),
     )  # fmt: skip
 
@@ -114,7 +115,7 @@ def warm_up() -> None:
     """Compiles the kernels, or loads them from the cache: by no Gaussian."""
     points, values = torch.zeros(0, 3), torch.zeros(0)
     gaussians = Gaussians(torch.zeros(0, 3), torch.ones(0, 3), 0)
-    surface = KnownSurface(points, points, points, values, points, values)
+    surface = KnownSurface(points, points, points, values, points, values, values)
     depth, extent = depth_and_extent(gaussians, surface)
     (depth + extent + tilt(gaussians, surface)).backward()
     hold(gaussians, surface)
@@ -205,7 +206,7 @@ def _tilts(
 @kernel
 def _hold(
     means: Array, quats: Array, log_scales: Array, rows: Rows, vertices: Array, normals: Array, thickness: Array,
-    axis: Array, ignorance: Array, part: int, parts: int,
+    axis: Array, ignorance: Array, sizes: Array, part: int, parts: int,
 ) -> None:  # fmt: skip
     least = np.float32(LEAST_COSINE)
     for begin in range(part * BLOCK, len(means), parts * BLOCK):
@@ -230,5 +231,6 @@ def _hold(
                 bound = min(
                     np.float32(THICK) / max(abs(across[k]), least),
                     np.float32(LONG) / max(abs(along[k]), least),
+                    np.float32(WIDE) * sizes[v],
                 )
                 log_scales[n, k] = min(log_scales[n, k], np.log(room * bound))

@@ -24,6 +24,9 @@ OUTWARDS, INWARDS = 0.005, 0.015
 THICK, LONG = 0.002, 0.006
 """Standard deviation that it may have there across the surface, and along the direction of which nothing is known;
 vertices of a body are about 0.017 m apart."""
+WIDE = 0.75
+"""Share of its size at the start that a Gaussian may have there in any direction: large ones on curved places are a
+blurred outline from the side, and a blurred pattern."""
 HELD_FROM = 0.2
 """Ignorance from which on a Gaussian is bounded."""
 LEAST_COSINE = 1e-3
@@ -41,6 +44,7 @@ class KnownSurface:
         thickness: of the clothes, `[V]`, metres, not negative.
         axis: the direction of which least is known, `[V, 3]`, of length 1.
         ignorance: how little, `[V]`, 0 to 1.
+        sizes: standard deviation of Gaussians there at the start, `[V]`, metres.
     """
 
     vertices: Tensor
@@ -49,6 +53,7 @@ class KnownSurface:
     thickness: Tensor
     axis: Tensor
     ignorance: Tensor
+    sizes: Tensor
 
 
 def depth_and_extent(
@@ -137,7 +142,8 @@ def hold(gaussians: Gaussians, surface: KnownSurface, *, compiled: bool = True) 
         (turns * direction[:, :, None]).sum(dim=1).abs().clamp(min=LEAST_COSINE)
         for direction in (normal, axis)
     )
-    longest = room[:, None] * torch.minimum(THICK / across, LONG / along)
+    widest = WIDE * surface.sizes[rows, None]
+    longest = room[:, None] * torch.minimum(torch.minimum(THICK / across, LONG / along), widest)
     gaussians.log_scales[held] = torch.minimum(gaussians.log_scales[held], longest.log())
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from occfusion.gpu.graphs import GraphedFunction
 from occfusion.human.avatar import Avatar
-from occfusion.human.gaussians import Gaussians
+from occfusion.human.gaussians import Gaussians, starting_sizes
 from occfusion.human.observability import CanonicalView, Observability, dressed_heights
 from occfusion.human.rendering import Renderer
 from occfusion.human.surface_terms import HELD_FROM, KnownSurface, depth_and_extent, hold, tilt
@@ -117,6 +117,7 @@ class SurfacePrior:
                 self._thickness,
                 self._axis,
                 self._ignorance,
+                starting_sizes(vertices + self._thickness[:, None] * self._normals),
             )
         return self._known
 
