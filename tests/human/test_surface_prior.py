@@ -291,7 +291,9 @@ def test_nothing_leaves_the_room_that_ignorance_gives(free_body, backend):
         along = (gaussians.roots() * direction[:, :, None]).sum(dim=1)
         assert float(along.abs().max()) <= bound + 1e-5
     widest = WIDE * starting_sizes(avatar.da_vertices)[rows, None]
-    assert bool((gaussians.scales <= 1.0001 * widest).all()) and bool((gaussians.scales > 0.9999 * widest).any())
+    assert bool((gaussians.scales <= 1.0001 * widest).all()) and bool(
+        (gaussians.scales > 0.9999 * widest).any()
+    )
 
 
 @BACKENDS
@@ -328,7 +330,15 @@ def known_of(body: Body, dtype: torch.dtype) -> KnownSurface:
     )
     thickness, ignorance = (torch.rand(count, generator=generator) for _ in range(2))
     vertices = body.da_vertices()
-    values = vertices, normals, vertices + 0.01 * normals, 0.02 * thickness, axis, ignorance, 0.02 * ignorance.roll(1)
+    values = (
+        vertices,
+        normals,
+        vertices + 0.01 * normals,
+        0.02 * thickness,
+        axis,
+        ignorance,
+        0.02 * ignorance.roll(1),
+    )
     return KnownSurface(*(value.to(dtype) for value in values))
 
 

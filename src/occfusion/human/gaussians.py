@@ -229,7 +229,9 @@ def starting_sizes(points: Tensor) -> Tensor:
     Args:
         points: `[N, 3]`, metres.
     """
-    return nearest_others(points, min(INITIAL_NEIGHBOURS, len(points) - 1)).distances.square().mean(dim=1).sqrt()
+    return (
+        nearest_others(points, min(INITIAL_NEIGHBOURS, len(points) - 1)).distances.square().mean(dim=1).sqrt()
+    )
 
 
 def _middles_of_largest(vertices: Tensor, faces: Tensor, count: int) -> Tensor:
