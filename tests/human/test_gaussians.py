@@ -10,7 +10,14 @@ from torch.autograd import gradcheck
 from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.human.deform import PoseRefiner, SkinningField, encode_positions, skinning_weights
-from occfusion.human.gaussians import MAX_SCALE, MIN_SCALE, PARAMETERS, Gaussians, means_rate
+from occfusion.human.gaussians import (
+    MAX_SCALE,
+    MIN_SCALE,
+    PARAMETERS,
+    Gaussians,
+    means_rate,
+    starting_sizes,
+)
 
 
 def test_start_on_the_body(body):
@@ -25,6 +32,16 @@ def test_start_on_the_body(body):
     assert gaussians.opacities.tolist() == pytest.approx([0.1] * 40)
     assert gaussians.sh_rest.shape == (40, 8, 3) and gaussians.sh_degree == 2
     assert not gaussians.sh0.any() and not gaussians.sh_rest.any()
+
+
+def test_sizes_at_the_start_are_distances_to_three_neighbours():
+    """Against all distances; points that coincide have the least size, not none: its logarithm is asked for."""
+    points = torch.rand(40, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    apart = (points[:, None] - points).norm(dim=2).sort(dim=1).values[:, 1:4]
+    torch.testing.assert_close(starting_sizes(points), apart.square().mean(dim=1).sqrt())
+    points[:5] = points[0]
+    assert bool((starting_sizes(points)[:5] == MIN_SCALE).all())
+    assert bool(starting_sizes(points).log().isfinite().all())
 
 
 def test_bands_up_to_a_degree():

@@ -224,14 +224,13 @@ class Gaussians(nn.Module):
 def starting_sizes(points: Tensor) -> Tensor:
     """Returns standard deviations of Gaussians that begin at points, `[N]`, metres: as far as these are apart.
 
-    The root of the mean squared distance to the three nearest others, as in 3DGS.
+    The root of the mean squared distance to the three nearest others, as in 3DGS, within the bounds of scales.
 
     Args:
         points: `[N, 3]`, metres.
     """
-    return (
-        nearest_others(points, min(INITIAL_NEIGHBOURS, len(points) - 1)).distances.square().mean(dim=1).sqrt()
-    )
+    distances = nearest_others(points, min(INITIAL_NEIGHBOURS, len(points) - 1)).distances
+    return distances.square().mean(dim=1).sqrt().clamp(MIN_SCALE, MAX_SCALE)
 
 
 def _middles_of_largest(vertices: Tensor, faces: Tensor, count: int) -> Tensor:
