@@ -25,7 +25,7 @@ THICK, LONG = 0.002, 0.006
 """Standard deviation that it may have there across the surface, and along the direction of which nothing is known;
 vertices of a body are about 0.017 m apart."""
 WIDE = 0.75
-"""Share of its size at the start that a Gaussian may have there in any direction: large ones on curved places are a
+"""Share of `KnownSurface.sizes` that a Gaussian may have there in any direction: large ones on curved places are a
 blurred outline from the side, and a blurred pattern."""
 HELD_FROM = 0.2
 """Ignorance from which on a Gaussian is bounded."""
@@ -44,7 +44,7 @@ class KnownSurface:
         thickness: of the clothes, `[V]`, metres, not negative.
         axis: the direction of which least is known, `[V, 3]`, of length 1.
         ignorance: how little, `[V]`, 0 to 1.
-        sizes: standard deviation of Gaussians there at the start, `[V]`, metres.
+        sizes: standard deviation that Gaussians on the clothes would begin with there, `[V]`, metres.
     """
 
     vertices: Tensor
