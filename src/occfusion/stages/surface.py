@@ -117,6 +117,7 @@ class SurfacePrior:
                 self._thickness,
                 self._axis,
                 self._ignorance,
+                # over the clothes: between the legs of a skirt neighbours are farther apart than on the body
                 starting_sizes(vertices + self._thickness[:, None] * self._normals),
             )
         return self._known
