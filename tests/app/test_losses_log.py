@@ -26,10 +26,6 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 def test_every_step_has_its_terms_their_weighted_sum_rates_and_gaussians(train: Train) -> None:
     weights = {"rgb": 1e4, "mask": 2e4, "ssim": 1e3, "sds_pose": 2 * 10.0, "sds_can": 2 * 20.0}
-    weights |= {
-        f"surface_{name}": 1e4 * weight
-        for name, weight in (("depth", 0.05), ("extent", 0.02), ("tilt", 0.05))
-    }
     weights |= {f"surface_{name}": 4 * 1e4 for name in ("outline", "backface")}  # every fourth step
     folder, metrics = train(
         "variant=D", "optim.steps=6", "plan=full", "optim.lambda_rgb=1e4", "optim.lambda_mask=2e4",

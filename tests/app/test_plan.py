@@ -441,7 +441,7 @@ def test_the_surface_is_closed_where_the_video_leaves_it_open(overrides, turn, c
 
 
 def test_weights_of_one_stage_say_nothing_of_the_other():
-    off = [f"optim.surface.{name}=0" for name in ("depth", "extent", "outline", "backface", "tilt")]
+    off = [f"optim.surface.{name}=0" for name in ("outline", "backface")]
     off.append("optim.surface.hold=false")
     plan = planned_for(surface_of(12.0), *off)
     assert not plan.settings.optim.surface.is_used and plan.settings.refine.surface.is_used

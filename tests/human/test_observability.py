@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
 
 from occfusion.geometry.coverage import GRAZING, Coverage, Sighting, cover
 from occfusion.human.observability import (
     ANGLES,
-    MARGIN,
     CanonicalView,
     Observability,
     canonical_views,
@@ -134,47 +134,53 @@ def test_it_turns_with_the_surface(from_front):
 # -- views ------------------------------------------------------------------------------------------------------------
 
 
+CLOTHES = 0.02
+
+
 @pytest.fixture(scope="module")
 def views(from_front) -> list[CanonicalView]:
-    return canonical_views(POINTS, FACES, from_front, np.full(len(POINTS), 0.02), PIXEL)
+    return canonical_views(POINTS, FACES, from_front, np.full(len(POINTS), CLOTHES), PIXEL)
 
 
-def test_a_view_shows_the_body_where_it_is(views):
+def from_middle(view: CanonicalView) -> NDArray[np.float64]:
+    """Pixels from the middle of a picture to each pixel's middle, `[H, W]`."""
+    rows, columns = np.mgrid[: view.camera.height, : view.camera.width] + 0.5
+    return np.hypot(columns - float(view.camera.K[0, 2]), rows - float(view.camera.K[1, 2]))
+
+
+def test_a_view_shows_the_dressed_body_where_it_is(views):
     for view in (views[0], views[ANGLES // 4], views[7]):
-        rows, columns = np.mgrid[: view.camera.height, : view.camera.width] + 0.5
-        # a ball of radius 0.3 three metres off covers a disc of this radius
-        focal, middle = float(view.camera.K[0, 0]), float(view.camera.K[0, 2])
-        away = np.hypot(columns - middle, rows - middle)
-        radius = focal * 0.3 / math.sqrt(9.0 - 0.09)
-        sure = np.abs(away - radius) > 1.0
-        assert (view.body.numpy() == (away < radius))[sure].all()
+        # a ball three metres off covers a disc of this radius
+        radius = float(view.camera.K[0, 0]) * (0.3 + CLOTHES) / math.sqrt(9.0 - (0.3 + CLOTHES) ** 2)
+        alpha, away = view.alpha.numpy() / 255.0, from_middle(view)
+        assert (alpha[away < radius - 1.0] == 1.0).all() and (alpha[away > radius + 1.0] == 0.0).all()
+        # the ball is a mesh of flat triangles, by which it is smaller
+        assert alpha.sum() == pytest.approx(math.pi * radius**2, rel=0.01)
+        # an edge between two pixels is grey, by how far it lies in the pixel
+        rim = np.abs(away - radius) < 0.4
+        assert np.abs(alpha - (radius - away + 0.5))[rim].max() < 0.55
+        assert (
+            abs(float((alpha - (radius - away + 0.5))[rim].mean())) < 0.06 and np.unique(alpha[rim]).size == 5
+        )
 
 
 def test_outlines_count_only_where_the_video_leaves_them_open(views):
     beside, behind = views[ANGLES // 4], views[ANGLES // 2]
     middle = beside.camera.height // 2
-    row, covered = beside.weight[middle].numpy(), beside.body[middle].numpy() > 0
+    row, covered = beside.weight[middle].numpy() / 255.0, beside.alpha[middle].numpy() > 0
     assert row[covered].max() > 0.95  # from the side a front seen from before alone is open
-    # from behind, the rim is the one that the front camera saw
-    rim = behind.weight[middle].numpy()[np.flatnonzero(behind.body[middle].numpy())[[2, -3]]]
-    assert rim.max() < 0.3
-
-
-def test_clothes_keep_their_room(views):
-    beside = views[ANGLES // 4]
-    middle = beside.camera.height // 2
-    last = np.flatnonzero(beside.body[middle].numpy())[-1]
-    weight = beside.weight[middle].numpy()
-    room = int((0.02 + MARGIN) / PIXEL)
-    assert (weight[last + 1 : last + 1 + room] == 0).all()
-    assert (weight[last + 3 + room : last + 8 + room] > 0.9).all()
+    # from behind, the rim is the one that the front camera saw; so is all that is nearest to it outside
+    rim = behind.weight[middle].numpy() / 255.0
+    columns = np.flatnonzero(behind.alpha[middle].numpy())
+    assert rim[columns[[2, -3]]].max() < 0.3
+    assert rim[: columns[0]].max() < 0.3
 
 
 def test_the_unseen_side_is_asked_from_behind_alone(views):
     front, behind = views[0], views[ANGLES // 2]
     middle = front.camera.height // 2
-    assert front.unseen[middle, middle] < 0.1 and behind.unseen[middle, middle] == 1.0
-    assert front.unseen[0, 0] == 0.0
+    assert front.unseen[middle, middle] < 26 and behind.unseen[middle, middle] == 255
+    assert front.unseen[0, 0] == 0
     nearest, farthest = nearest_vertex((0, 0, 1)), nearest_vertex((0, 0, -1))
     assert front.is_away[farthest] == 1 and front.is_away[nearest] == 0
     assert behind.is_away[farthest] == 0 and behind.is_away[nearest] == 1

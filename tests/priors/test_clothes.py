@@ -12,17 +12,21 @@ import torch
 from numpy.typing import NDArray
 
 from occfusion.geometry.mesh_spread import spread_over_mesh
+from occfusion.geometry.zbuffer import NO_FACE, rasterize_mesh
 from occfusion.human.body import embedded_body
 from occfusion.observation.clothes import (
     BETWEEN,
     LEAST_LOOKS,
     MARGIN,
+    face_of,
+    fit_thickness,
     measure_reach,
     reach_in_picture,
 )
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import Evidence
 from occfusion.observation.frames import ObservedFrame, PosedBody
+from occfusion.observation.keypoints import HEAD, face_vertices
 from occfusion.synth.scene import Scene
 from occfusion.synth.spec import SceneSpec
 from occfusion.types import Camera
@@ -134,6 +138,86 @@ def test_the_median_of_the_frames_less_a_margin() -> None:
     assert np.abs(found[:, SIDES] - (0.1 - MARGIN * DISTANCE / FOCAL)).max() < 0.012
     assert found.min() > 0.02  # what no frame tells has what neighbours have
     assert not measured(LEAST_LOOKS - 1).any()
+
+
+def posed(
+    vertices: NDArray[np.float64], visible: NDArray[np.bool_], known: NDArray[np.bool_]
+) -> ObservedFrame:
+    pixels = FOCAL * vertices[:, :2] / vertices[:, 2:] + SIZE / 2
+    body = PosedBody(vertices, np.zeros((18, 3)), ProjectedMesh(pixels, vertices[:, 2]))
+    nothing = np.zeros_like(visible)
+    return ObservedFrame(0, lambda: body, Evidence(nothing, known & ~visible, nothing, 0.0, False, 0.0))
+
+
+def fitted(
+    thickness: float,
+    lean: float,
+    known: NDArray[np.bool_] | None = None,
+    bare: NDArray[np.bool_] | None = None,
+) -> NDArray[np.float64]:
+    """What is found of a tube that leans in the picture and wears clothes of a thickness, `[rings, sectors]`.
+
+    In each frame its edge falls elsewhere in its pixels.
+    """
+    vertices, faces = tubes(0.0)
+    known = np.ones((SIZE, SIZE), np.bool_) if known is None else known
+    c, s = np.cos(lean), np.sin(lean)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    straight = vertices - (0.0, 0.0, DISTANCE)
+    looks, frames = [], []
+    for shift in (0.0, 0.0023, 0.0041, 0.0068):
+        worn = straight * ((RADIUS + thickness) / RADIUS, 1.0, (RADIUS + thickness) / RADIUS)
+        body, dressed = (each @ turn.T + (shift, 0.0, DISTANCE) for each in (straight, worn))
+        pixels = FOCAL * dressed[:, :2] / dressed[:, 2:] + SIZE / 2
+        shown = rasterize_mesh(pixels, dressed[:, 2], faces, SIZE, SIZE).face != NO_FACE
+        looks.append(posed(body, shown & known, known))
+        frames.append(SimpleNamespace(visible_mask=torch.from_numpy(shown & known), camera=CAMERA))
+    mesh = cast(Any, SimpleNamespace(faces=torch.from_numpy(faces), num_vertices=len(vertices)))
+    found = fit_thickness(looks, lambda k: cast(Any, frames[k]), mesh, range(len(looks)), bare)
+    return found.reshape(RINGS, SECTORS)
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.3, np.pi / 4, 1.2])
+@pytest.mark.parametrize("thickness", [0.0, 0.013, 0.04])
+def test_tight_clothes_to_a_fraction_of_a_pixel_however_the_outline_runs(
+    lean: float, thickness: float
+) -> None:
+    """A pixel is a centimetre. The ends of the tube are open and are left out."""
+    found = fitted(thickness, lean)[2:-2, SIDES]
+    assert np.abs(found - thickness).max() < 0.004
+
+
+def test_a_body_that_is_wider_than_the_person_wears_nothing() -> None:
+    assert not fitted(-0.03, 0.2).any()
+
+
+def test_clothes_that_an_occluder_may_hide_are_those_of_neighbours() -> None:
+    known = np.ones((SIZE, SIZE), np.bool_)
+    known[SIZE // 2 - 8 : SIZE // 2 + 8] = False  # a strip across the middle
+    found = fitted(0.03, 0.0, known)[2:-2, SIDES]
+    assert np.abs(found - 0.03).max() < 0.008
+    assert not fitted(0.03, 0.0, np.zeros_like(known)).any()
+
+
+def test_a_bare_place_is_bare_unless_outlines_show_otherwise() -> None:
+    bare = np.zeros((RINGS, SECTORS), np.bool_)
+    bare[3:6, 20:29] = True  # towards the camera
+    found = fitted(0.03, 0.0, bare=bare.ravel())
+    assert found[4, 24] < 0.012 and found[2:-2, SIDES].min() > 0.022
+    bare[:, SIDES] = True
+    assert fitted(0.03, 0.0, bare=bare.ravel())[2:-2, SIDES].min() > 0.022
+
+
+def test_the_face_is_from_chin_to_brow() -> None:
+    points, face = BODY.v_template.double().numpy(), face_of(BODY)
+    head = (BODY.weights[:, HEAD] > 0.5).numpy()
+    nose, right_eye, left_eye, *ears = face_vertices(BODY)
+    assert face[[nose, right_eye, left_eye]].all() and not face[ears].any()
+    assert not face[~head].any()
+    top, chin = points[head, 1].max(), points[face, 1].min()
+    assert points[face, 1].max() < top - 0.05 and points[nose, 1] - 0.08 < chin
+    assert np.median(points[face, 2]) > np.quantile(points[head, 2], 0.6)
+    assert points[face, 0].mean() == pytest.approx(points[head, 0].mean(), abs=0.005)
 
 
 def test_what_is_spread_over_a_mesh() -> None:

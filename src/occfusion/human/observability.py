@@ -16,7 +16,7 @@ from torch import Tensor
 
 from occfusion.geometry.camera import orbit_camera, project_vertices
 from occfusion.geometry.coverage import SEEN, Coverage, surface_frames
-from occfusion.geometry.distance import nearest_set, signed_distance
+from occfusion.geometry.distance import nearest_set
 from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.zbuffer import NO_FACE, rasterize_mesh
 from occfusion.types import Camera
@@ -31,14 +31,14 @@ ANGLES = 24
 """Canonical views, evenly round the body."""
 DISTANCE = 3.0
 """Metres from the camera of a canonical view to the body: about as far as people are filmed from."""
-MARGIN = 0.005
-"""Metres beyond the clothes that an outline may reach."""
 REACH = 0.25
-"""Metres outside the body within which nothing may be drawn; farther off, few rays would be spent well."""
-UNSURE = 0.010
-"""Metres that clothes stand off at which half of it is believed."""
+"""Metres that a canonical view shows around the dressed body."""
 AWAY = -0.1
 """Cosine of normal and line of sight below which a place faces away from a canonical view."""
+SAMPLES = 2
+"""Samples of a canonical view along each side of a pixel: an outline between two pixels is grey."""
+UNSURE = 0.010
+"""Metres that clothes stand off at which half of it is believed."""
 
 
 @dataclass(frozen=True)
@@ -148,19 +148,20 @@ def dressed_heights(thickness: Floats, known: Observability) -> Floats:
 
 @dataclass(frozen=True)
 class CanonicalView:
-    """The body in its canonical pose from one side, and what an avatar may show there.
+    """The dressed body in its canonical pose from one side, and how little the video says of it.
+
+    Shares and weights are bytes, 255 for 1: of pictures that are drawn now and then there are many.
 
     Attributes:
         camera: of the picture.
-        body: 1 where the body is, 0 outside, `[H, W]`.
-        weight: how much a pixel counts: where the video itself says little of the outline from here, and neither
-            clothes nor the body's edge leave it open; 0..1, `[H, W]`.
-        unseen: how far the place of the body that a pixel shows was never seen, 0..1, `[H, W]`; 0 outside.
-        is_away: vertices that face away from the camera, 0 or 1, `[V]`.
+        alpha: share of each pixel that the dressed body covers, `[H, W]`.
+        weight: how little the video itself says of the outline from here, at the nearest place, `[H, W]`.
+        unseen: how far the place of the body that a pixel shows was never seen, `[H, W]`; 0 outside.
+        is_away: vertices that face away from the camera, float32, 0 or 1, `[V]`.
     """
 
     camera: Camera
-    body: Tensor
+    alpha: Tensor
     weight: Tensor
     unseen: Tensor
     is_away: Tensor
@@ -177,23 +178,24 @@ def canonical_views(
     thickness: Floats,
     pixel: float,
 ) -> list[CanonicalView]:
-    """Returns the body from `ANGLES` sides.
+    """Returns the dressed body from `ANGLES` sides.
 
     Args:
-        vertices: in the canonical pose, `[V, 3]`, metres.
+        vertices: of the body in the canonical pose, `[V, 3]`, metres.
         faces: triangles, `[F, 3]`.
         known: of the same places.
         thickness: how far clothes stand off at each place, `[V]`, metres.
         pixel: metres that a pixel is to cover.
     """
     points = vertices.astype(np.float64)
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    radius = float(np.linalg.norm(points - middle, axis=1).max()) + REACH
+    normals = vertex_normals(points, faces)
+    dressed = points + np.maximum(thickness, 0.0)[:, None] * normals
+    middle = 0.5 * (dressed.min(axis=0) + dressed.max(axis=0))
+    radius = float(np.linalg.norm(dressed - middle, axis=1).max()) + REACH
     field_of_view = 2.0 * math.atan(radius / DISTANCE)
     size = math.ceil(2.0 * radius / pixel)
-    normals = vertex_normals(points, faces)
     return [
-        _canonical_view(points, faces, normals, known, thickness, camera, pixel)
+        _canonical_view(dressed, faces, normals, known, camera)
         for camera in (
             orbit_camera(torch.from_numpy(middle), 2.0 * math.pi * k / ANGLES, DISTANCE, field_of_view, size)
             for k in range(ANGLES)
@@ -202,36 +204,30 @@ def canonical_views(
 
 
 def _canonical_view(
-    points: Floats,
-    faces: NDArray[np.integer],
-    normals: Floats,
-    known: Observability,
-    thickness: Floats,
-    camera: Camera,
-    pixel: float,
+    dressed: Floats, faces: NDArray[np.integer], normals: Floats, known: Observability, camera: Camera
 ) -> CanonicalView:
-    viewmat = camera.viewmat.numpy()
-    pixels, depths = project_vertices(points, viewmat, camera.K.numpy())
-    seen = rasterize_mesh(pixels, depths, faces, camera.width, camera.height)
-    body = seen.face != NO_FACE
-    # nonsense where there is no face, and never read there
-    corner = faces[seen.face, seen.barycentrics.argmax(axis=2)]
-    vertex = corner.ravel()[nearest_set(body)]
-    inside = (signed_distance(body) + np.where(body, -0.5, 0.5)) * pixel  # which runs between two pixels
-    weight = known.outline_ignorance(viewmat[0, :3])[vertex]
-    is_certain = (inside > 0.5 * pixel) | (
-        inside < -(np.maximum(thickness, 0.0) + MARGIN)[vertex] - 0.5 * pixel
-    )
-    towards = camera.centre.numpy() - points
+    viewmat, K = camera.viewmat.numpy().astype(np.float64), camera.K.numpy().astype(np.float64)
+    pixels, depths = project_vertices(dressed, viewmat, K)
+    seen = rasterize_mesh(pixels * SAMPLES, depths, faces, camera.width * SAMPLES, camera.height * SAMPLES)
+    samples = (seen.face != NO_FACE).reshape(camera.height, SAMPLES, camera.width, SAMPLES)
+    alpha = samples.mean(axis=(1, 3))
+    # one sample of each pixel is enough for what changes slowly; where it misses the body, the nearest that does not
+    middle = slice(SAMPLES // 2, None, SAMPLES)
+    face, shares = seen.face[middle, middle], seen.barycentrics[middle, middle]
+    covered = face != NO_FACE
+    corner = faces[np.maximum(face, 0), shares.argmax(axis=2)]
+    vertex = corner.ravel()[nearest_set(covered)]
+    towards = camera.centre.numpy() - dressed
     cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
-
-    def picture(values: NDArray[np.generic]) -> Tensor:
-        return torch.from_numpy(values.astype(np.float32))
-
     return CanonicalView(
         Camera(camera.viewmat.float(), camera.K.float(), camera.width, camera.height),
-        picture(body),
-        picture(np.where(is_certain & (inside > -REACH), weight, 0.0)),
-        picture(np.where(inside > 0.5 * pixel, known.unseen[vertex], 0.0)),
-        picture(cosine < AWAY),
+        _as_bytes(alpha),
+        _as_bytes(known.outline_ignorance(viewmat[0, :3])[vertex]),
+        _as_bytes(np.where(covered, known.unseen[vertex], 0.0)),
+        torch.from_numpy((cosine < AWAY).astype(np.float32)),
     )
+
+
+def _as_bytes(values: Floats) -> Tensor:
+    """Returns values in 0..1 as bytes, 255 for 1."""
+    return torch.from_numpy((values.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))

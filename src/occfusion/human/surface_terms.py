@@ -1,4 +1,4 @@
-"""How Gaussians keep to the dressed body where a video says nothing of their depth: three penalties, and bounds."""
+"""How Gaussians keep to the dressed body where a video says nothing of their depth: bounds."""
 
 from __future__ import annotations
 
@@ -8,16 +8,8 @@ import torch
 from torch import Tensor
 from torch.autograd.graph import increment_version
 
-from occfusion.geometry.rotation import normalize_quaternion, quaternion_to_matrix
+from occfusion.geometry.rotation import quaternion_to_matrix
 from occfusion.human.gaussians import Gaussians
-
-DEPTH_SCALE = 0.010
-"""Metres that a Gaussian may stand off the dressed body, along a direction of which nothing is known, before it
-counts."""
-EXTENT_SCALE = 0.005
-"""Standard deviation along it, metres, likewise."""
-TILT_SCALE = 0.001
-"""Standard deviation across the surface, metres, likewise."""
 
 OUTWARDS, INWARDS = 0.005, 0.015
 """Metres that a Gaussian may stand outside of clothes, and inside the body, where nothing is known of its depth."""
@@ -40,7 +32,6 @@ class KnownSurface:
     Attributes:
         vertices: `[V, 3]`, metres.
         normals: `[V, 3]`, of length 1.
-        dressed: the surface of the clothes, `[V, 3]`, metres.
         thickness: of the clothes, `[V]`, metres, not negative.
         axis: the direction of which least is known, `[V, 3]`, of length 1.
         ignorance: how little, `[V]`, 0 to 1.
@@ -49,67 +40,10 @@ class KnownSurface:
 
     vertices: Tensor
     normals: Tensor
-    dressed: Tensor
     thickness: Tensor
     axis: Tensor
     ignorance: Tensor
     sizes: Tensor
-
-
-def depth_and_extent(
-    gaussians: Gaussians, surface: KnownSurface, *, compiled: bool = True
-) -> tuple[Tensor, Tensor]:
-    """Returns how far Gaussians stand off the dressed body along an unknown direction, and how far they reach along it.
-
-    Each is the mean over all Gaussians of `i (sqrt(1 + x^2) - 1)`, i the ignorance at their vertex, x the distance
-    from the surface, or the standard deviation, along the axis there in units of `DEPTH_SCALE` and `EXTENT_SCALE`: half
-    of x^2 where it is small, and no faster than x far out.
-
-    Args:
-        gaussians: canonical.
-        surface: of the body that they are measured from.
-        compiled: by the kernels of `surface_kernels.py`, of which this is the specification, where they take the
-            Gaussians: float32 on a CPU.
-    """
-    if compiled and _are_taken(gaussians):
-        # numba is loaded where it is used
-        from occfusion.human import surface_kernels
-
-        return surface_kernels.depth_and_extent(gaussians, surface)
-    rows = gaussians.vertex_index
-    axis, ignorance = surface.axis[rows], surface.ignorance[rows]
-    off = ((gaussians.means - surface.dressed[rows]) * axis).sum(dim=1) / DEPTH_SCALE
-    along = (gaussians.roots() * axis[:, :, None]).sum(dim=1) / EXTENT_SCALE
-    squares = off.square(), along.square().sum(dim=1)
-    depth, extent = ((ignorance * ((1.0 + square).sqrt() - 1.0)).mean() for square in squares)
-    return depth, extent
-
-
-def tilt(gaussians: Gaussians, surface: KnownSurface, *, compiled: bool = True) -> Tensor:
-    """Returns how far flat Gaussians stand out of the surface that they lie in.
-
-    As the extent of `depth_and_extent`, along the normal of the body and in units of `TILT_SCALE`. It turns Gaussians
-    and leaves them as large as they are: made smaller, they would leave holes.
-
-    Args:
-        gaussians: canonical.
-        surface: of the body that they lie on.
-        compiled: as in `depth_and_extent`.
-    """
-    if compiled and _are_taken(gaussians):
-        from occfusion.human import surface_kernels
-
-        return surface_kernels.tilt(gaussians, surface)
-    rows = gaussians.vertex_index
-    w, x, y, z = normalize_quaternion(gaussians.raw_quats).T.contiguous()
-    nx, ny, nz = surface.normals[rows].T.contiguous()
-    sx, sy, sz = (gaussians.scales.detach() / TILT_SCALE).T.contiguous()
-    # the normal as the Gaussian's axes have it, by products alone: matrices take two and a half times as long
-    tx, ty, tz = 2.0 * (y * nz - z * ny), 2.0 * (z * nx - x * nz), 2.0 * (x * ny - y * nx)
-    out_x = sx * (nx - w * tx + (y * tz - z * ty))
-    out_y = sy * (ny - w * ty + (z * tx - x * tz))
-    out_z = sz * (nz - w * tz + (x * ty - y * tx))
-    return (surface.ignorance[rows] * ((1.0 + out_x**2 + out_y**2 + out_z**2).sqrt() - 1.0)).mean()
 
 
 @torch.no_grad()
@@ -122,9 +56,11 @@ def hold(gaussians: Gaussians, surface: KnownSurface, *, compiled: bool = True) 
     Args:
         gaussians: canonical.
         surface: of the body that they are held to.
-        compiled: as in `depth_and_extent`.
+        compiled: by the kernels of `surface_kernels.py`, of which this is the specification, where they take the
+            Gaussians: float32 on a CPU.
     """
     if compiled and _are_taken(gaussians):
+        # numba is loaded where it is used
         from occfusion.human import surface_kernels
 
         surface_kernels.hold(gaussians, surface)

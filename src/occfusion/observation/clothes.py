@@ -1,8 +1,9 @@
 """How far clothes stand off the body, as the outlines of masks tell.
 
-Tight ones to a fraction of a pixel, as the mean of many frames, spread over the mesh (`measure_thickness`). Skirts,
-coats and long hair place by place: from each that lies on the outline one goes along the normal, as long as the picture
-shows the person there and not another part of the body (`measure_reach`).
+Tight ones to a fraction of a pixel, as the mean of many frames, spread over the mesh: at a first look
+(`measure_thickness`), and until the dressed body has the outline that masks show (`fit_thickness`). Skirts, coats and
+long hair place by place: from each that lies on the outline one goes along the normal, as long as the picture shows the
+person there and not another part of the body (`measure_reach`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.zbuffer import NO_FACE, rasterize_mesh
 from occfusion.human.body import Body
 from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.keypoints import HEAD, face_vertices
 from occfusion.types import Camera, Frame
 
 Floats = NDArray[np.float64]
@@ -40,6 +42,16 @@ MARGIN = 1.5
 """Pixels that do not count: of tight clothes, which `measure_thickness` tells better, nothing is left."""
 FINEST = 0.004
 """Metres, the least between two places along a normal; else it is half a pixel."""
+FIT_ROUNDS = (40, 20, 10)
+"""Rounds of averaging over neighbours by which each correction of the outline is spread: first far, then nearer."""
+RIM = 2.0
+"""Pixels beyond an outline that are counted to find its length; nearer ones are more where it runs aslant."""
+FIT_PRIOR = 0.02
+"""Weight of the mean correction, in frames that show a place on the outline."""
+FACE = 1.2
+"""How far the face reaches from the tip of the nose, in distances from there to an eye: from chin to brow."""
+BARE = 0.3
+"""Weight with which a face wears nothing, in frames that show a place on the outline, for each frame."""
 LEAST_LOOKS = 4
 """Frames that must show a place on the outline."""
 
@@ -52,7 +64,7 @@ def measure_clothes(
 ) -> Floats:
     """Returns how far clothes stand off the body at each vertex, tight ones or wide, `[V]`, metres.
 
-    The larger of `measure_thickness` and `measure_reach`.
+    The larger of `fit_thickness` and `measure_reach`.
 
     Args:
         observed_frames: of all training frames, in order.
@@ -61,7 +73,17 @@ def measure_clothes(
         positions: of those that are looked at.
     """
     asked = observed_frames, read, body, positions
-    return np.maximum(measure_thickness(*asked), measure_reach(*asked))
+    return np.maximum(fit_thickness(*asked, bare=face_of(body)), measure_reach(*asked))
+
+
+def face_of(body: Body) -> Mask:
+    """Returns the vertices of the face, chin to brow, bool `[V]`: hair is beside them and above, on the outline."""
+    nose, *eyes = face_vertices(body)[:3]
+    points = body.v_template.double().cpu().numpy()
+    reach = FACE * np.linalg.norm(points[eyes] - points[nose], axis=1).mean()
+    on_head = (body.weights[:, HEAD] > 0.5).cpu().numpy()
+    is_near: Mask = np.linalg.norm(points - points[nose], axis=1) < reach
+    return is_near & on_head
 
 
 @dataclass(frozen=True)
@@ -131,6 +153,78 @@ def measure_thickness(
         return np.zeros_like(shown)
     mean = float(shown.sum() / rim.sum())
     return spread_over_mesh(shown, rim, body.faces.cpu().numpy(), (mean, 0.5))
+
+
+def fit_thickness(
+    observed_frames: Sequence[ObservedFrame],
+    read: Callable[[int], Frame],
+    body: Body,
+    positions: Sequence[int],
+    bare: Mask | None = None,
+) -> Floats:
+    """Returns how far clothes stand off the body at each vertex, so that masks have its outline, `[V]`, metres.
+
+    The body in the clothes found so far is held against the masks again and again: where the person reaches farther,
+    they grow, where less far, they shrink. What a first look gets wrong, at hollows and where an outline runs aslant,
+    the next one mends.
+
+    Args:
+        observed_frames: of all training frames, in order.
+        read: gives the training frame at a position.
+        body: of the frames.
+        positions: of those that are looked at.
+        bare: vertices that wear nothing unless outlines say otherwise, bool `[V]`: who faces the camera never shows
+            the face from the side, and what is spread from the hair would stand off it; None: none.
+    """
+    faces = body.faces.cpu().numpy()
+    thickness = np.zeros(body.num_vertices)
+    belief = np.zeros_like(thickness) if bare is None else BARE * len(positions) * bare
+    for rounds in FIT_ROUNDS:
+        lacking, rim = np.zeros_like(thickness), np.zeros_like(thickness)
+        for position in positions:
+            own, length = _misfit(observed_frames[position], read(position), faces, thickness)
+            lacking += own
+            rim += length
+        if rim.sum() == 0:
+            return np.zeros_like(thickness)
+        mean = float(lacking.sum() / rim.sum())
+        lacking, rim = lacking - belief * thickness, rim + belief
+        correction = spread_over_mesh(lacking, rim, faces, (mean, FIT_PRIOR), rounds)
+        thickness = np.maximum(thickness + correction, 0.0)
+    return thickness
+
+
+def _misfit(
+    observed_frame: ObservedFrame, frame: Frame, faces: NDArray[np.int64], thickness: Floats
+) -> tuple[Floats, Floats]:
+    """Returns what a dressed body's outline lacks of a mask at each vertex, and how long it is there, `[V]` each.
+
+    Metres times pixels, negative where it has too much; pixels. Both are 0 where something may hide the person's end.
+    """
+    camera, count = frame.camera, len(thickness)
+    viewmat, K = camera.viewmat.double().cpu().numpy(), camera.K.double().cpu().numpy()
+    dressed = observed_frame.vertices + thickness[:, None] * vertex_normals(observed_frame.vertices, faces)
+    pixels, depths = project_vertices(dressed, viewmat, K)
+    metres = float(np.median(depths)) / float(K[0, 0])
+    seen = rasterize_mesh(pixels, depths, faces, camera.width, camera.height)
+    covered = seen.face != NO_FACE
+    if not covered.any():
+        return np.zeros(count), np.zeros(count)
+    inside = signed_distance(covered) + np.where(
+        covered, -0.5, 0.5
+    )  # pixels, to the edge between two of them
+    corner = faces[np.maximum(seen.face, 0), seen.barycentrics.argmax(axis=-1)]
+    # a pixel belongs to the place of the outline that is nearest to it, from within as from outside
+    vertex = corner.ravel()[nearest_set(covered & (inside < 1.0))]
+    visible = frame.visible_mask.cpu().numpy()
+    near = np.abs(inside) * metres < 0.5 * NEAR
+    is_hidden = near & ~(visible | observed_frame.evidence.background)
+    clear = near & (np.bincount(vertex[is_hidden], minlength=count)[vertex] == 0)
+    more, less = clear & ~covered & _attached(visible, covered), clear & covered & ~visible
+    pixels_lacking = np.bincount(vertex[more], minlength=count) - np.bincount(vertex[less], minlength=count)
+    beyond = clear & ~covered & (inside > -RIM)
+    lacking = pixels_lacking.astype(np.float64) * metres
+    return lacking, np.bincount(vertex[beyond], minlength=count) / RIM
 
 
 def _attached(visible: Mask, covered: Mask) -> Mask:

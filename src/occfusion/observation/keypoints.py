@@ -27,7 +27,7 @@ LIMBS = (
 """Pairs of key points that OpenPose joins, in the order in which it colours them."""
 
 _BODY_JOINTS = {2: 17, 3: 19, 4: 21, 5: 16, 6: 18, 7: 20, 8: 2, 9: 5, 10: 8, 11: 1, 12: 4, 13: 7}
-_HEAD = 15
+HEAD = 15
 _SHOULDERS = (16, 17)
 _FACE = (0, 14, 15, 16, 17)
 
@@ -56,10 +56,10 @@ def face_vertices(body: Body) -> tuple[int, ...]:
     Found on the template by where they are (it faces +z with +y up, as SMPL does), so that any body serves: the
     nose is the foremost vertex of the head, eyes lie above and beside it, ears are what stands out sideways.
     """
-    points, on_head = body.v_template, body.weights[:, _HEAD] > 0.5
+    points, on_head = body.v_template, body.weights[:, HEAD] > 0.5
     candidates = torch.nonzero(on_head)[:, 0]
     head = points[candidates]
-    joint = body.joint_template[_HEAD]
+    joint = body.joint_template[HEAD]
     top = float(head[:, 1].max())
     face = (head[:, 1] > joint[1]) & (head[:, 1] < 0.5 * (joint[1] + top) + 0.03)
     foremost = torch.where(face, head[:, 2], torch.full_like(head[:, 2], -torch.inf)).argmax()

@@ -97,7 +97,7 @@ TOLD = (
 TOLD_IF_NOT = TOLD[4:]
 """Those of them that are told also where they are not used."""
 
-NO_SURFACE = SurfaceSettings(depth=0.0, extent=0.0, outline=0.0, backface=0.0, hold=False, tilt=0.0)
+NO_SURFACE = SurfaceSettings(outline=0.0, backface=0.0, hold=False)
 
 
 def make_plan(

@@ -26,6 +26,8 @@ RENAMED = {
 REMOVED = (
     "trainer.strategy", "optim.lambda_correction", "refine.lambda_correction", "optim.sds.start_step", "optim.sh_frame",
     "prior.completion.draws", "prior.completion.samples", "prior.completion.steps", "prior.completion.seed",
+    "optim.surface.depth", "optim.surface.extent", "optim.surface.tilt",
+    "refine.surface.depth", "refine.surface.extent", "refine.surface.tilt",
 )  # fmt: skip
 """Settings that are gone.
 

@@ -195,10 +195,6 @@ class SurfaceSettings:
     What was seen from many directions is left alone. The paper has none of it.
     """
 
-    depth: float = setting(
-        0.05, "weight of how far Gaussians stand off the body along the one direction they were seen from", 0
-    )
-    extent: float = setting(0.02, "weight of how far they reach along it", 0)
     outline: float = setting(
         1.0, "weight of holes and spills in views from sides that no frame shows; 0: no such view is drawn", 0
     )
@@ -213,14 +209,11 @@ class SurfaceSettings:
     every: int = setting(
         4, "steps from one such view to the next, which then has that many times the weight", 1, 10_000
     )
-    tilt: float = setting(
-        0.05, "weight of how far flat Gaussians stand out of the surface that they lie in", 0
-    )
 
     @property
     def is_used(self) -> bool:
         """Whether any term has a weight."""
-        return self.hold or self.depth > 0 or self.extent > 0 or self.tilt > 0 or self.are_views_used
+        return self.hold or self.are_views_used
 
     @property
     def are_views_used(self) -> bool:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from occfusion.gpu.graphs import GraphedFunction
 from occfusion.human.avatar import Avatar
-from occfusion.human.gaussians import Gaussians, starting_sizes
-from occfusion.human.observability import CanonicalView, Observability, dressed_heights
+from occfusion.human.gaussians import starting_sizes
+from occfusion.human.observability import CanonicalView, Observability
 from occfusion.human.rendering import Renderer
-from occfusion.human.surface_terms import HELD_FROM, KnownSurface, depth_and_extent, hold, tilt
+from occfusion.human.surface_terms import HELD_FROM, KnownSurface, hold
 from occfusion.settings.stages import SurfaceSettings
 
 
@@ -24,10 +22,7 @@ class SurfacePrior:
 
     What was seen from many directions is left alone: each term is weighted by what the video does not say.
 
-    - `depth`: how far a Gaussian stands off the dressed body along the direction of which least is known.
-    - `extent`: how far it reaches along it: a needle that is seen from its end.
-    - `tilt`: how far it reaches out of the surface: a feather.
-    - `outline`: the occupancy of the canonical pose, from a side, against body and clothes: nothing outside, no hole.
+    - `outline`: the occupancy of the canonical pose, from a side, against that of body and clothes.
     - `backface`: what of the body's other side shines through places that no frame shows.
 
     Args:
@@ -57,50 +52,22 @@ class SurfacePrior:
         self._views = [view.to(renderer.device) for view in views]
         self._compiled = renderer.backend == "numba"
         self._known: KnownSurface | None = None
-        self._recorded = GraphedFunction(self._penalties_by_tensors)
         self._holds = settings.hold and bool((known.ignorance >= HELD_FROM).any())
-        clothes = dressed_heights(thickness, known)[:, None] * normals
-        self._axis, self._ignorance, self._normals, self._clothes, self._thickness = (
+        self._axis, self._ignorance, self._normals, self._thickness = (
             torch.from_numpy(values).float().to(renderer.device)
-            for values in (known.axis, known.ignorance, normals, clothes, np.maximum(thickness, 0.0))
+            for values in (known.axis, known.ignorance, normals, np.maximum(thickness, 0.0))
         )
 
     def weight(self, name: str) -> float:
         """Returns the weight of a term; every k-th step at k times the weight leaves the expected gradient as it is."""
         own: float = getattr(self.settings, name.removeprefix("surface_"))
-        return own * self.settings.every if name in ("surface_outline", "surface_backface") else own
+        return own * self.settings.every
 
     def terms(self, avatar: Avatar, step: int) -> Mapping[str, Tensor]:
         """Returns the terms of a step, unweighted: `surface_` and their names; those of weight zero are not built."""
-        settings, gaussians = self.settings, avatar.gaussians
-        names = self._penalty_names()
-        if names and gaussians.means.is_cuda:
-            values = self._recorded(*gaussians.tensors(), *vars(self._surface(avatar)).values())
-        else:
-            values = self._penalties(gaussians, self._surface(avatar))
-        terms = dict(zip(names, values, strict=True))
-        if (settings.outline or settings.backface) and step % settings.every == 0:
-            terms |= self._seen_from_a_side(avatar, step)
-        return terms
-
-    def _penalty_names(self) -> list[str]:
-        return [f"surface_{name}" for name in ("depth", "extent", "tilt") if getattr(self.settings, name)]
-
-    def _penalties(self, gaussians: Gaussians, surface: KnownSurface) -> tuple[Tensor, ...]:
-        """Returns the values of `_penalty_names`."""
-        settings, found = self.settings, list[Tensor]()
-        if settings.depth or settings.extent:
-            both = depth_and_extent(gaussians, surface, compiled=self._compiled)
-            weights = (settings.depth, settings.extent)
-            found += [value for value, weight in zip(both, weights, strict=True) if weight]
-        if settings.tilt:
-            found.append(tilt(gaussians, surface, compiled=self._compiled))
-        return tuple(found)
-
-    def _penalties_by_tensors(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        """Returns what `_penalties` does, from the tensors of Gaussians and of a surface."""
-        count = len(fields(KnownSurface))
-        return self._penalties(Gaussians.of(tensors[:-count]), KnownSurface(*tensors[-count:]))
+        if not self.settings.are_views_used or step % self.settings.every:
+            return {}
+        return self._seen_from_a_side(avatar, step)
 
     def hold(self, avatar: Avatar) -> None:
         """Brings Gaussians back that left the room that the video gives them; changes them in place."""
@@ -113,7 +80,6 @@ class SurfacePrior:
             self._known = KnownSurface(
                 vertices,
                 self._normals,
-                vertices + self._clothes,
                 self._thickness,
                 self._axis,
                 self._ignorance,
@@ -130,10 +96,11 @@ class SurfacePrior:
         away = torch.zeros_like(gaussians.means)
         away[:, 0] = view.is_away[gaussians.vertex_index]
         drawn = self.renderer.canonical(avatar, away, view.camera)
-        area = view.body.sum().clamp(min=1.0)
+        alpha, weight, unseen = (part.float() / 255.0 for part in (view.alpha, view.weight, view.unseen))
+        area = alpha.sum().clamp(min=1.0)
         terms = {}
         if self.settings.outline:
-            terms["surface_outline"] = (view.weight * (drawn.alpha - view.body).square()).sum() / area
+            terms["surface_outline"] = (weight * (drawn.alpha - alpha).square()).sum() / area
         if self.settings.backface:
-            terms["surface_backface"] = (view.unseen * drawn.rgb[..., 0].square()).sum() / area
+            terms["surface_backface"] = (unseen * drawn.rgb[..., 0].square()).sum() / area
         return terms
