@@ -199,6 +199,17 @@ def test_clothes_that_an_occluder_may_hide_are_those_of_neighbours() -> None:
     assert not fitted(0.03, 0.0, np.zeros_like(known)).any()
 
 
+@pytest.mark.parametrize("moved", [(9.0, 0.0, 0.0), (0.0, 0.0, -9.0), (0.0, 0.0, 0.15 - DISTANCE)])
+def test_a_body_that_has_no_outline_wears_nothing(moved: tuple[float, ...]) -> None:
+    """Beside the picture, behind the camera, and filling the picture."""
+    vertices, faces = tubes(0.0)
+    everything = np.ones((SIZE, SIZE), np.bool_)
+    frame = cast(Any, SimpleNamespace(visible_mask=torch.from_numpy(everything), camera=CAMERA))
+    mesh = cast(Any, SimpleNamespace(faces=torch.from_numpy(faces), num_vertices=len(vertices)))
+    looks = [posed(vertices + np.array(moved), everything, everything)]
+    assert not fit_thickness(looks, lambda _: frame, mesh, range(1)).any()
+
+
 def test_a_bare_place_is_bare_unless_outlines_show_otherwise() -> None:
     bare = np.zeros((RINGS, SECTORS), np.bool_)
     bare[3:6, 20:29] = True  # towards the camera

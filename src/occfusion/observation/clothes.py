@@ -208,11 +208,10 @@ def _misfit(
     metres = float(np.median(depths)) / float(K[0, 0])
     seen = rasterize_mesh(pixels, depths, faces, camera.width, camera.height)
     covered = seen.face != NO_FACE
-    if not covered.any():
+    if not covered.any() or covered.all():  # there is no outline
         return np.zeros(count), np.zeros(count)
-    inside = signed_distance(covered) + np.where(
-        covered, -0.5, 0.5
-    )  # pixels, to the edge between two of them
+    # pixels to the edge, which runs between two of them
+    inside = signed_distance(covered) + np.where(covered, -0.5, 0.5)
     corner = faces[np.maximum(seen.face, 0), seen.barycentrics.argmax(axis=-1)]
     # a pixel belongs to the place of the outline that is nearest to it, from within as from outside
     vertex = corner.ravel()[nearest_set(covered & (inside < 1.0))]
