@@ -116,7 +116,7 @@ class ObservedSurface:
         known: what it says of each place.
         ignorance: mean of that of all places by their area, 0..1.
         turn: mean of `Observability.turns` likewise, degrees.
-        thickness: how far clothes stand off at each place, `[V]`, metres.
+        thickness: how far clothes stand off at each place, `[V]`, metres; 0 where nothing is closed and nobody looked.
         pixel: metres that a pixel of the video covers at the person.
     """
 

@@ -180,7 +180,17 @@ def surface_decision(settings: Settings, stage: str, surface: ObservedSurface | 
         f"directions to the camera spread by {surface.turn:.0f} degrees about their axis, on average over places; a "
         f"person who turns has {TURNED:.0f} or more. The video leaves {surface.ignorance:.0%} of the surface open"
     )
-    return Decision(part, surface.turn < TURNED or settings.plan == "full", reason)
+    return Decision(part, is_surface_open(settings, surface.turn), reason)
+
+
+def is_surface_open(settings: Settings, turn: float) -> bool:
+    """Returns whether a video leaves so much of the surface open that it is closed.
+
+    Args:
+        settings: of the run.
+        turn: of `ObservedSurface`, degrees.
+    """
+    return turn < TURNED or settings.plan == "full"
 
 
 def may_leave_out_networks(settings: Settings) -> bool:

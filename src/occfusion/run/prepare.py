@@ -30,7 +30,7 @@ from occfusion.observation.pose_alignment import Alignment, aligned_pose
 from occfusion.observation.pose_witness import Look
 from occfusion.observation.sequence_alignment import align_sequence
 from occfusion.perceptual import load_perceptual, training_dtype
-from occfusion.plan.decisions import is_alignment_asked, may_leave_out_networks
+from occfusion.plan.decisions import is_alignment_asked, is_surface_open, may_leave_out_networks
 from occfusion.plan.hidden import with_everything
 from occfusion.plan.make import Plan, make_plan, reached_sh_degree
 from occfusion.priors.build_prior import check_score_prior
@@ -171,7 +171,7 @@ def observe(settings: Settings) -> Observed:
     coverage = cover_body((sighting_of(read(k), body) for k in views), body)
     surface = None
     if is_closed and coverage is not None and observed_frames is not None:
-        surface = _observe_surface(data, body, coverage, observed_frames)
+        surface = _observe_surface(settings, data, body, coverage, observed_frames)
     return Observed(
         body, data, data.summary(), registered, observed_frames, light, coverage, surface,
         make_renderer(settings), alignment,
@@ -225,18 +225,24 @@ def _aligned_reader(data: HumanDataModule, body: Body, alignment: Alignment | No
 
 
 def _observe_surface(
-    data: HumanDataModule, body: Body, coverage: BodyCoverage, observed_frames: Sequence[ObservedFrame]
+    settings: Settings,
+    data: HumanDataModule,
+    body: Body,
+    coverage: BodyCoverage,
+    observed_frames: Sequence[ObservedFrame],
 ) -> ObservedSurface:
     vertices, faces = body.da_vertices().cpu().numpy(), body.faces.cpu().numpy()
     known = observe_surface(coverage.coverage, vertices, faces)
-    looks = spread(len(observed_frames), CLOTHES_VIEWS)
-    thickness = measure_clothes(observed_frames, partial(data.train_frame, truth=False), body, looks)
-    focal = float(data.train_frame(0, truth=False).camera.K[0, 0])
-    depths = [np.median(frame.projected.depths) for frame in evenly(observed_frames, COVERAGE_VIEWS)]
-    depth = float(np.median(depths))
     ignorance, turn = (
         float(np.average(of, weights=coverage.areas)) for of in (known.ignorance, known.turns())
     )
+    thickness = np.zeros(len(vertices))
+    if is_surface_open(settings, turn):
+        looks = spread(len(observed_frames), CLOTHES_VIEWS)
+        thickness = measure_clothes(observed_frames, partial(data.train_frame, truth=False), body, looks)
+    focal = float(data.train_frame(0, truth=False).camera.K[0, 0])
+    depths = [np.median(frame.projected.depths) for frame in evenly(observed_frames, COVERAGE_VIEWS)]
+    depth = float(np.median(depths))
     return ObservedSurface(known, ignorance, turn, thickness, depth / focal)
 
 
