@@ -14,6 +14,8 @@ from safetensors.torch import load_file
 
 from occfusion.data.sampling import spread
 from occfusion.human.rendering import Renderer
+from occfusion.observation.clothes import measure_clothes
+from occfusion.run import prepare
 from occfusion.run.loaded import load_run
 from occfusion.run.prepare import make_body, make_data
 
@@ -69,3 +71,19 @@ def test_frames_that_are_looked_at_are_spread_evenly(count: int, wanted: int) ->
     assert min(found) >= 0 and max(found) < count
     steps = [b - a for a, b in pairwise(found)]
     assert not steps or max(steps) - min(steps) <= 1
+
+
+@pytest.mark.parametrize(("extra", "is_closed"), [((), False), (("plan=full",), True)])
+def test_clothes_are_measured_only_where_the_surface_is_closed(
+    train: Train, monkeypatch: pytest.MonkeyPatch, extra: tuple[str, ...], is_closed: bool
+) -> None:
+    asked = []
+
+    def measure(*arguments: Any) -> Any:
+        asked.append(arguments)
+        return measure_clothes(*arguments)
+
+    monkeypatch.setattr(prepare, "measure_clothes", measure)
+    folder, _ = train("variant=E", *STILL, "optim.observed_colors=false", "optim.align_poses=false", *extra)
+    plan = {d["part"]: d for d in json.loads((folder / "plan.json").read_text())["decisions"]}
+    assert plan["surface prior"]["used"] is is_closed and len(asked) == is_closed
