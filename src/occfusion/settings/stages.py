@@ -196,7 +196,7 @@ class SurfaceSettings:
     """
 
     outline: float = setting(
-        1.0, "weight of holes and spills in views from sides that no frame shows; 0: no such view is drawn", 0
+        1.0, "weight of the outline, against body and clothes, in views from sides that no frame shows", 0
     )
     backface: float = setting(
         1.0, "weight of what shines through from the body's other side where no frame shows it", 0
