@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from occfusion.geometry.camera import look_at, orbit_camera
+from occfusion.geometry.camera import camera_round, look_at, orbit_camera
 from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.types import Camera
 from oracles.camera import project_points
@@ -75,3 +75,36 @@ def test_field_of_view_touches_the_sides():
 def test_no_such_view(eye, up):
     with pytest.raises(ValueError, match="line of sight"):
         look_at(torch.tensor(eye), torch.zeros(3), torch.tensor(up))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 2.0, math.pi, -1.3])
+def test_a_camera_goes_round_its_target(angle):
+    """A tilted, rolled camera that looks past the target, and an axis of any length and direction."""
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3] = axis_angle_to_matrix(torch.tensor([0.2, 2.9, 0.3], dtype=torch.float64))
+    viewmat[:3, 3] = torch.tensor([0.3, -0.2, 3.0])
+    K = torch.tensor([[500.0, 0.0, 90.0], [0.0, 510.0, 70.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    camera, target = Camera(viewmat, K, 160, 120), torch.tensor([0.1, 0.4, 0.2], dtype=torch.float64)
+    axis = torch.tensor([0.6, 2.0, -0.9], dtype=torch.float64)
+    found, distance = camera_round(camera, target, axis, angle), float((camera.centre - target).norm())
+    unit = axis / axis.norm()
+    pixels, depths = project_points(torch.stack([target, target + 0.1 * unit]), found)
+    assert pixels[0].tolist() == pytest.approx([80.0, 60.0]) and float(depths[0]) == pytest.approx(distance)
+    assert float(pixels[1, 0]) == pytest.approx(80.0) and float(pixels[1, 1]) < 60.0  # upright
+    torch.testing.assert_close(found.K[:2, :2], K[:2, :2])
+    before, after = camera.centre - target, found.centre - target
+    before = before - (before @ unit) * unit
+    assert float(after @ unit) == pytest.approx(0.0, abs=1e-9)
+    sine, cosine = torch.linalg.cross(before, after) @ unit, before @ after
+    scale = float(before.norm()) * distance
+    assert float(sine) == pytest.approx(scale * math.sin(angle), abs=1e-9)
+    assert float(cosine) == pytest.approx(scale * math.cos(angle), abs=1e-9)
+
+
+def test_a_camera_that_looks_along_the_axis_has_sides_too():
+    above = Camera(look_at(*torch.eye(3).mul(3.0)[[1, 0]], torch.tensor([0.0, 0.0, 1.0])), torch.eye(3), 4, 4)
+    target, axis = above.centre - torch.tensor([0.0, 2.0, 0.0]), torch.tensor([0.0, 1.0, 0.0])
+    eyes = [camera_round(above, target, axis, k * math.pi / 2).centre - target for k in range(4)]
+    assert all(float(eye.norm()) == pytest.approx(2.0, abs=1e-5) for eye in eyes)
+    assert float((eyes[0] + eyes[2]).norm()) == pytest.approx(0.0, abs=1e-5)
+    assert float(eyes[0] @ eyes[1]) == pytest.approx(0.0, abs=1e-5)

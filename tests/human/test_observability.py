@@ -7,21 +7,13 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
 from occfusion.geometry.coverage import GRAZING, Coverage, Sighting, cover
-from occfusion.human.observability import (
-    ANGLES,
-    CanonicalView,
-    Observability,
-    canonical_views,
-    observe_surface,
-)
+from occfusion.human.observability import Observability, observe_surface
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=0.3)
 FACES = np.asarray(BALL.faces, np.int64)
 POINTS = np.asarray(BALL.vertices, np.float64)
-PIXEL = 0.01
 
 
 def seen_from(angles: list[float], distance: float = 3.0, size: int = 160) -> Coverage:
@@ -55,6 +47,11 @@ def nearest_vertex(direction: tuple[float, float, float]) -> int:
     return int((POINTS @ np.array(direction)).argmax())
 
 
+def of_outlines(known: Observability, *direction: float) -> np.ndarray:
+    """How little outlines say along one direction everywhere."""
+    return known.outline_ignorance(np.tile(direction, (len(POINTS), 1)))
+
+
 def test_moments_are_sums_over_the_looks_by_hand():
     angles = [0.0, 0.3, -0.5, 1.1]
     known = observe_surface(seen_from(angles), POINTS, FACES)
@@ -80,8 +77,8 @@ def test_one_camera_says_nothing_along_its_line_of_sight(from_front):
     front = nearest_vertex((0, 0, 1))
     assert abs(from_front.axis[front] @ [0, 0, 1]) > 0.999
     assert from_front.ignorance[front] > 0.99
-    assert from_front.outline_ignorance(np.array([0.0, 0, 1]))[front] > 0.99
-    assert from_front.outline_ignorance(np.array([1.0, 0, 0]))[front] < 0.05
+    assert of_outlines(from_front, 0.0, 0, 1)[front] > 0.99
+    assert of_outlines(from_front, 1.0, 0, 0)[front] < 0.05
     assert from_front.unseen[front] < 0.1
 
 
@@ -92,8 +89,8 @@ def test_what_no_camera_shows_is_not_known_but_for_its_outline(from_front):
     )
     assert from_front.axis[back] == pytest.approx([0, 0, -1], abs=0.05)
     # but its outline is: from across, whichever side it faces
-    assert from_front.outline_ignorance(np.array([0.0, 0, 1]))[back] > 0.99
-    assert from_front.outline_ignorance(np.array([1.0, 0, 0]))[back] < 0.05
+    assert of_outlines(from_front, 0.0, 0, 1)[back] > 0.99
+    assert of_outlines(from_front, 1.0, 0, 0)[back] < 0.05
 
 
 def test_who_is_seen_from_all_round_is_known(from_all_round):
@@ -126,61 +123,6 @@ def test_it_turns_with_the_surface(from_front):
     )
     turned = observe_surface(seen_from([0.0] * 10), POINTS @ turn.T, FACES)
     assert turned.ignorance == pytest.approx(from_front.ignorance, abs=1e-9)
-    assert turned.outline_ignorance(turn @ [0.0, 0.6, 0.8]) == pytest.approx(
-        from_front.outline_ignorance(np.array([0.0, 0.6, 0.8])), abs=1e-9
+    assert of_outlines(turned, *(turn @ [0.0, 0.6, 0.8])) == pytest.approx(
+        of_outlines(from_front, 0.0, 0.6, 0.8), abs=1e-9
     )
-
-
-# -- views ------------------------------------------------------------------------------------------------------------
-
-
-CLOTHES = 0.02
-
-
-@pytest.fixture(scope="module")
-def views(from_front) -> list[CanonicalView]:
-    return canonical_views(POINTS, FACES, from_front, np.full(len(POINTS), CLOTHES), PIXEL)
-
-
-def from_middle(view: CanonicalView) -> NDArray[np.float64]:
-    """Pixels from the middle of a picture to each pixel's middle, `[H, W]`."""
-    rows, columns = np.mgrid[: view.camera.height, : view.camera.width] + 0.5
-    return np.hypot(columns - float(view.camera.K[0, 2]), rows - float(view.camera.K[1, 2]))
-
-
-def test_a_view_shows_the_dressed_body_where_it_is(views):
-    for view in (views[0], views[ANGLES // 4], views[7]):
-        # a ball three metres off covers a disc of this radius
-        radius = float(view.camera.K[0, 0]) * (0.3 + CLOTHES) / math.sqrt(9.0 - (0.3 + CLOTHES) ** 2)
-        alpha, away = view.alpha.numpy() / 255.0, from_middle(view)
-        assert (alpha[away < radius - 1.0] == 1.0).all() and (alpha[away > radius + 1.0] == 0.0).all()
-        # the ball is a mesh of flat triangles, by which it is smaller
-        assert alpha.sum() == pytest.approx(math.pi * radius**2, rel=0.01)
-        # an edge between two pixels is grey, by how far it lies in the pixel
-        rim = np.abs(away - radius) < 0.4
-        assert np.abs(alpha - (radius - away + 0.5))[rim].max() < 0.4
-        assert (
-            abs(float((alpha - (radius - away + 0.5))[rim].mean())) < 0.12 and np.unique(alpha[rim]).size == 5
-        )
-
-
-def test_outlines_count_only_where_the_video_leaves_them_open(views):
-    beside, behind = views[ANGLES // 4], views[ANGLES // 2]
-    middle = beside.camera.height // 2
-    row, covered = beside.weight[middle].numpy() / 255.0, beside.alpha[middle].numpy() > 0
-    assert row[covered].max() > 0.95  # from the side a front seen from before alone is open
-    # from behind, the rim is the one that the front camera saw; so is all that is nearest to it outside
-    rim = behind.weight[middle].numpy() / 255.0
-    columns = np.flatnonzero(behind.alpha[middle].numpy())
-    assert rim[columns[[2, -3]]].max() < 0.3
-    assert rim[: columns[0]].max() < 0.3
-
-
-def test_the_unseen_side_is_asked_from_behind_alone(views):
-    front, behind = views[0], views[ANGLES // 2]
-    middle = front.camera.height // 2
-    assert front.unseen[middle, middle] < 26 and behind.unseen[middle, middle] == 255
-    assert front.unseen[0, 0] == 0
-    nearest, farthest = nearest_vertex((0, 0, 1)), nearest_vertex((0, 0, -1))
-    assert front.is_away[farthest] == 1 and front.is_away[nearest] == 0
-    assert behind.is_away[farthest] == 0 and behind.is_away[nearest] == 1

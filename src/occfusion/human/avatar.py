@@ -190,21 +190,26 @@ class Avatar(nn.Module):
             )
         return Cloud(means, covariances, opacities, colors, self.dilation)
 
-    def deform(self, pose: Pose) -> Carried:
-        """Returns centres and covariances in a pose, world coordinates, without colours."""
-        return _carried(self.gaussians, self._placed(pose))
+    def deform(self, pose: Pose, *, as_given: bool = False) -> Carried:
+        """Returns centres and covariances in a pose, world coordinates, without colours.
 
-    def _placed(self, pose: Pose) -> Placed:
+        Args:
+            pose: of the body.
+            as_given: leave out what was learned of poses; skinning is as it is and learns nothing.
+        """
+        return _carried(self.gaussians, self._placed(pose, as_given=as_given))
+
+    def _placed(self, pose: Pose, *, as_given: bool = False) -> Placed:
         """Returns what carries Gaussians into a pose.
 
         Joints are posed on the host, where a GPU would be started a hundred times.
         """
         means = self.gaussians.means
         pose = pose.to("cpu") if means.is_cuda else pose
-        rotations, transl = self._corrected(pose)
+        rotations, transl = self._given(pose) if as_given else self._corrected(pose)
         joints, offsets = self._shaped(pose.betas, rotations)
         transforms = bone_transforms(rotations, joints, self.body.parents, compiled=True)
-        binding = self._binding()
+        binding = self._binding(learns=not as_given)
         return Placed(transforms.to(means), transl.to(means), binding.weights, binding.rest_maps, offsets)
 
     def _posed(
@@ -245,10 +250,14 @@ class Avatar(nn.Module):
         """Puts another lamp in place of the learned one, for showing: `[3]`, world, see `shading.brightness`."""
         self.key_light = None if key_light is None else key_light.to(self.da_normals)
 
+    def _given(self, pose: Pose) -> tuple[Tensor, Tensor]:
+        """Returns the joint rotations `[24, 3, 3]` and the translation `[3]` as the data have them."""
+        rotations = self.body.rotations(pose.global_orient, pose.body_pose)
+        return rotations, pose.transl.to(rotations)
+
     def _corrected(self, pose: Pose) -> tuple[Tensor, Tensor]:
         """Returns the joint rotations `[24, 3, 3]` and the translation `[3]` after all corrections."""
-        rotations = self.body.rotations(pose.global_orient, pose.body_pose)
-        transl = pose.transl.to(rotations)
+        rotations, transl = self._given(pose)
         if self.pose_refiner is not None:
             rotations = self.pose_refiner(pose.body_pose.reshape(-1), rotations)
         if self.pose_spline is not None and pose.frame_index is not None:
@@ -293,7 +302,7 @@ class Avatar(nn.Module):
 
     # -- skinning weights, and when they are computed -------------------------------------------------------
 
-    def _binding(self) -> Binding:
+    def _binding(self, *, learns: bool = True) -> Binding:
         if self.skinning_field is None:
             return self._memo.get(
                 "fixed", self._rows_key(), lambda: bind(self._body_weights(), self.da_transforms)
@@ -306,8 +315,9 @@ class Avatar(nn.Module):
         if self.training and is_kept:
             key = (self._rows_key(), Unchanged(self.skinning_offsets))
             kept = self._memo.get("kept", key, lambda: self._bind_offsets(self.skinning_offsets))
-            return self._learn_rows(kept) if self._is_skinning_due else kept
-        binding, offsets = self._bind_field()
+            return self._learn_rows(kept) if self._is_skinning_due and learns else kept
+        with torch.set_grad_enabled(learns):
+            binding, offsets = self._bind_field()
         if self.training:
             self.skinning_offsets = offsets.detach()
         return binding

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from occfusion.human.avatar import Avatar
 from occfusion.splat import Limits, fitting_backend, rasterize, resolve_backend
-from occfusion.types import Box, Camera, Cloud, Frame, Rendering
+from occfusion.types import Box, Camera, Cloud, Frame, Pose, Rendering
 
 WARM_UP_SIZE = 16
 """Pixels; kernels are compiled for types of arrays, not for sizes."""
@@ -75,6 +75,21 @@ class Renderer:
             camera.K, camera.width, camera.height, backend=fitting_backend(self.backend, device),
             limits=Limits(dilation=avatar.dilation),
         )  # fmt: skip
+
+    def posed(self, avatar: Avatar, pose: Pose, colors: Tensor, camera: Camera) -> Rendering:
+        """Returns the picture of an avatar's Gaussians in a pose over black; what was learned of poses is left out.
+
+        Differentiable in the Gaussians alone.
+
+        Args:
+            avatar: on any device.
+            pose: on any device.
+            colors: of its Gaussians, `[N, 3]`, 0..1.
+            camera: on any device.
+        """
+        opacities = avatar.gaussians.opacities
+        means, covariances, _ = avatar.deform(pose.to(opacities.device), as_given=True)
+        return self.draw(Cloud(means, covariances, opacities, colors, avatar.dilation), camera)
 
     @torch.inference_mode()
     def frame(self, avatar: Avatar, frame: Frame) -> Rendering:

@@ -13,7 +13,7 @@ import torch
 from occfusion.cpu.memory import return_memory
 from occfusion.cpu.processes import is_helper, local_rank
 from occfusion.data.module import HumanDataModule
-from occfusion.data.sampling import evenly, spread
+from occfusion.data.sampling import spread
 from occfusion.data.scene_registration import SceneRegistration
 from occfusion.files.atomic import write_json
 from occfusion.files.run_folder import RunFolder
@@ -240,10 +240,7 @@ def _observe_surface(
     if is_surface_open(settings, turn):
         looks = spread(len(observed_frames), CLOTHES_VIEWS)
         thickness = measure_clothes(observed_frames, partial(data.train_frame, truth=False), body, looks)
-    focal = float(data.train_frame(0, truth=False).camera.K[0, 0])
-    depths = [np.median(frame.projected.depths) for frame in evenly(observed_frames, COVERAGE_VIEWS)]
-    depth = float(np.median(depths))
-    return ObservedSurface(known, ignorance, turn, thickness, depth / focal)
+    return ObservedSurface(known, ignorance, turn, thickness)
 
 
 def observe_training_frames(
@@ -337,6 +334,7 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         planned=plan.settings,
         folder=folder,
         data=observed.data,
+        body=observed.body,
         data_hash=observed.data_hash,
         held_out_hash=observed.held_out_hash,
         observed_frames=frames,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import lightning as L
-import numpy as np
 from lightning.pytorch.loggers import Logger
 
 from occfusion.cpu.processes import is_helper, tell_helpers
@@ -22,10 +21,12 @@ from occfusion.files.digest import digest
 from occfusion.files.run_folder import RunFolder, StageFolder
 from occfusion.geometry.normals import vertex_normals
 from occfusion.human import Avatar, save_avatar, write_gaussians_ply
+from occfusion.human.body import Body
 from occfusion.human.densify import Densifier
 from occfusion.human.kernels import compile_kernels
-from occfusion.human.observability import CanonicalView, ObservedSurface, canonical_views
+from occfusion.human.observability import ObservedSurface
 from occfusion.human.rendering import Renderer
+from occfusion.human.virtual_views import VIEWS, VirtualView, virtual_views
 from occfusion.inpaint.accumulation import Accumulated, accumulate
 from occfusion.inpaint.completion import ColorCompleter, write_completion
 from occfusion.observation.frames import ObservedFrame
@@ -43,7 +44,7 @@ from occfusion.stages.parallel import AvatarDDP, SharedDensification
 from occfusion.stages.progress import ProgressLine
 from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import UncertainMasks
-from occfusion.types import Frame, Truth
+from occfusion.types import Camera, Frame, Pose, Truth
 
 LOOKED_AT = 200
 """Frames at most that say what colours Gaussians start with, and how fast they learn."""
@@ -159,6 +160,7 @@ class AvatarTraining:
         planned: those that training goes by.
         folder: of the run.
         data: the training and held-out frames.
+        body: of the frames.
         data_hash: of all that is trained on.
         held_out_hash: of all that is only measured on, for the error curve.
         observed_frames: what masks and poses say of the training frames; empty where nothing depends on it.
@@ -175,6 +177,7 @@ class AvatarTraining:
     planned: Settings
     folder: RunFolder
     data: HumanDataModule
+    body: Body
     data_hash: str
     held_out_hash: str
     observed_frames: Sequence[ObservedFrame]
@@ -213,20 +216,35 @@ class AvatarTraining:
         chosen, observed = settings.surface, self.surface
         if not chosen.is_used or observed is None:
             return None
-        views: list[CanonicalView] = []
-        vertices, faces = avatar.da_vertices.cpu().numpy(), avatar.body.faces.cpu().numpy()
-        if chosen.are_views_used:
-            views = canonical_views(vertices, faces, observed.known, observed.thickness, observed.pixel)
-        normals = vertex_normals(vertices.astype(np.float64), faces)
+        vertices, faces = avatar.da_vertices.double().cpu().numpy(), avatar.body.faces.cpu().numpy()
+        normals = vertex_normals(vertices, faces)
         return SurfacePrior(
             observed.known,
             normals,
             observed.thickness,
-            views,
+            self.virtual_views if chosen.are_views_used else [],
             chosen,
             renderer=self.renderer,
             seed=self.settings.seed,
         )
+
+    @cached_property
+    def virtual_views(self) -> list[VirtualView]:
+        """The person of the training frames from other sides, for both stages; in every second view limbs are spread.
+
+        In poses of the video a surface is stretched as people will see it; spread limbs hide nothing of it.
+        """
+        assert self.surface is not None
+        frames, (camera,) = self.data.train_indices, self.data.train_cameras
+        limbs = self.body.da_pose().body_pose
+
+        def posed(number: int) -> tuple[Pose, Camera]:
+            frame = frames[number * len(frames) // VIEWS]
+            pose = self.data.pose(frame)
+            pose = replace(pose, body_pose=limbs.to(pose.body_pose)) if number % 2 else pose
+            return pose, self.data.camera_at(frame, camera)
+
+        return virtual_views(map(posed, range(VIEWS)), self.body, self.surface.known, self.surface.thickness)
 
     def accumulate(self, avatar: Avatar, most: int, opacity: float | None = None) -> Accumulated:
         """Returns what the training frames, evenly chosen at most so many, show of an avatar's Gaussians.

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from occfusion.human.avatar import Avatar
 from occfusion.human.gaussians import starting_sizes
-from occfusion.human.observability import CanonicalView, Observability
+from occfusion.human.observability import Observability
 from occfusion.human.rendering import Renderer
 from occfusion.human.surface_terms import HELD_FROM, KnownSurface, hold
+from occfusion.human.virtual_views import VirtualView
 from occfusion.settings.stages import SurfaceSettings
 
 
@@ -22,16 +23,16 @@ class SurfacePrior:
 
     What was seen from many directions is left alone: each term is weighted by what the video does not say.
 
-    - `outline`: the occupancy of the canonical pose, from a side, against that of body and clothes.
+    - `outline`: the occupancy in a pose of the video, from a side, against that of body and clothes.
     - `backface`: what of the body's other side shines through places that no frame shows.
 
     Args:
         known: what the video says of the surface.
         normals: of the canonical body, `[V, 3]`.
         thickness: how far clothes stand off at each place, `[V]`, metres.
-        views: of the canonical body; used only where `outline` or `backface` have a weight.
+        views: of the body; used only where `outline` or `backface` have a weight.
         settings: weights, in multiples of the colours' L1.
-        renderer: draws the canonical views.
+        renderer: draws the views.
         seed: decides which view is taken, step by step.
     """
 
@@ -40,7 +41,7 @@ class SurfacePrior:
         known: Observability,
         normals: NDArray[np.float64],
         thickness: NDArray[np.float64],
-        views: Sequence[CanonicalView],
+        views: Sequence[VirtualView],
         settings: SurfaceSettings,
         *,
         renderer: Renderer,
@@ -94,8 +95,8 @@ class SurfacePrior:
         gaussians = avatar.gaussians
         # of the picture's three channels, one says what share of a pixel shows the body's other side
         away = torch.zeros_like(gaussians.means)
-        away[:, 0] = view.is_away[gaussians.vertex_index]
-        drawn = self.renderer.canonical(avatar, away, view.camera)
+        away[:, 0] = view.is_away[gaussians.vertex_index].to(away)
+        drawn = self.renderer.posed(avatar, view.pose, away, view.camera)
         alpha, weight, unseen = (part.float() / 255.0 for part in (view.alpha, view.weight, view.unseen))
         area = alpha.sum().clamp(min=1.0)
         terms = {}

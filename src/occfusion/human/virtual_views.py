@@ -1,0 +1,154 @@
+"""The dressed body in poses of the video, from sides that nobody filmed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from occfusion.geometry.camera import camera_round, project_vertices
+from occfusion.geometry.coverage import surface_frames
+from occfusion.geometry.distance import nearest_set
+from occfusion.geometry.normals import vertex_normals
+from occfusion.geometry.rotation import axis_angle_to_matrix
+from occfusion.geometry.zbuffer import NO_FACE, rasterize_mesh
+from occfusion.human.body import Body
+from occfusion.human.observability import Observability
+from occfusion.types import Camera, Pose
+
+Floats = NDArray[np.float64]
+
+VIEWS = 96
+"""Virtual views of a video."""
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+"""Turns from each view to the next: any few that follow each other are spread all round."""
+REACH = 0.1
+"""Metres that a view shows around the dressed body."""
+AWAY = -0.1
+"""Cosine of normal and line of sight below which a place faces away from a view."""
+SAMPLES = 2
+"""Samples of a view along each side of a pixel: an outline between two pixels is grey."""
+
+
+@dataclass(frozen=True)
+class VirtualView:
+    """The dressed body in a pose from one side, and how little the video says of it.
+
+    Shares and weights are bytes, 255 for 1: of pictures that are drawn now and then there are many.
+
+    Attributes:
+        pose: as the data give it.
+        camera: of the picture.
+        alpha: share of each pixel that the dressed body covers, `[H, W]`.
+        weight: how little the video itself says of the outline from here, at the nearest place, `[H, W]`.
+        unseen: how far the place of the body that a pixel shows was never seen, `[H, W]`; 0 outside.
+        is_away: vertices that face away from the camera, bool, `[V]`.
+    """
+
+    pose: Pose
+    camera: Camera
+    alpha: Tensor
+    weight: Tensor
+    unseen: Tensor
+    is_away: Tensor
+
+    def to(self, device: torch.device) -> VirtualView:
+        """Returns the view with its pictures on `device`."""
+        pictures = {name: getattr(self, name).to(device) for name in ("alpha", "weight", "unseen", "is_away")}
+        return replace(self, **pictures)
+
+
+@torch.no_grad()
+def virtual_views(
+    frames: Iterable[tuple[Pose, Camera]], body: Body, known: Observability, thickness: Floats
+) -> list[VirtualView]:
+    """Returns a view of each frame's dressed body from a side: cameras go round the body's own axis, feet to head.
+
+    Args:
+        frames: their poses and cameras; the distance of a camera stays.
+        body: of the poses.
+        known: of its surface.
+        thickness: how far clothes stand off at each place, `[V]`, metres.
+    """
+    canonical, faces = body.da_vertices().double().cpu().numpy(), body.faces.cpu().numpy()
+    views = []
+    for number, (pose, camera) in enumerate(frames):
+        there = pose.to(body.v_template.device)
+        posed, _ = body(there.betas, there.global_orient, there.body_pose, there.transl)
+        vertices = posed.double().cpu().numpy()
+        middle = torch.from_numpy(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+        axis = axis_angle_to_matrix(pose.global_orient.cpu())[:, 1]  # bodies are upright along +y
+        angle = 2.0 * math.pi * (number * GOLDEN % 1.0)
+        beside = camera_round(camera.to("cpu"), middle, axis, angle)
+        views.append(virtual_view(vertices, canonical, faces, known, thickness, beside, pose))
+    return views
+
+
+def virtual_view(
+    posed: Floats,
+    canonical: Floats,
+    faces: NDArray[np.integer],
+    known: Observability,
+    thickness: Floats,
+    camera: Camera,
+    pose: Pose,
+) -> VirtualView:
+    """Returns what a camera would see of a dressed body.
+
+    Args:
+        posed: vertices of the body, `[V, 3]`, metres.
+        canonical: the same in the pose of `known`, `[V, 3]`.
+        faces: triangles, `[F, 3]`, corners counter-clockwise from outside.
+        known: what the video says of each place.
+        thickness: how far clothes stand off at each place, `[V]`, metres.
+        camera: its picture is cut to the person, or grows by what it does not show of it.
+        pose: of the body.
+    """
+    normals = vertex_normals(posed, faces)
+    dressed = posed + np.maximum(thickness, 0.0)[:, None] * normals
+    camera = _around(dressed, camera)
+    viewmat, K = (part.double().numpy() for part in (camera.viewmat, camera.K))
+    pixels, depths = project_vertices(dressed, viewmat, K)
+    seen = rasterize_mesh(pixels * SAMPLES, depths, faces, camera.width * SAMPLES, camera.height * SAMPLES)
+    samples = (seen.face != NO_FACE).reshape(camera.height, SAMPLES, camera.width, SAMPLES)
+    # one sample of each pixel is enough for what changes slowly; where it misses the body, the nearest that does not
+    middle = slice(SAMPLES // 2, None, SAMPLES)
+    face, shares = seen.face[middle, middle], seen.barycentrics[middle, middle]
+    covered = face != NO_FACE
+    corner = faces[np.maximum(face, 0), shares.argmax(axis=2)]
+    vertex = corner.ravel()[nearest_set(covered)]
+    # across the picture, turned into the canonical pose with each place
+    local = surface_frames(posed, faces) @ viewmat[0, :3]
+    across = np.einsum("vki,vk->vi", surface_frames(canonical, faces), local)
+    towards = camera.centre.double().numpy() - dressed
+    cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
+    return VirtualView(
+        pose,
+        Camera(camera.viewmat.float(), camera.K.float(), camera.width, camera.height),
+        _as_bytes(samples.mean(axis=(1, 3))),
+        _as_bytes(known.outline_ignorance(across)[vertex]),
+        _as_bytes(np.where(covered, known.unseen[vertex], 0.0)),
+        torch.from_numpy(cosine < AWAY),
+    )
+
+
+def _around(dressed: Floats, camera: Camera) -> Camera:
+    """Returns the camera with the picture that a dressed body `[V, 3]` fills but for `REACH`."""
+    viewmat, K = (part.double().numpy() for part in (camera.viewmat, camera.K))
+    pixels, depths = project_vertices(dressed, viewmat, K)
+    rim = REACH * K[0, 0] / float(np.median(depths))
+    least, most = np.floor(pixels.min(axis=0) - rim), np.ceil(pixels.max(axis=0) + rim)
+    moved = camera.K.clone().double()
+    moved[:2, 2] -= torch.from_numpy(least)
+    width, height = (most - least).astype(int).tolist()
+    return Camera(camera.viewmat, moved, width, height)
+
+
+def _as_bytes(values: Floats) -> Tensor:
+    """Returns values in 0..1 as bytes, 255 for 1."""
+    return torch.from_numpy((values.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
