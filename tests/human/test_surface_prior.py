@@ -16,7 +16,7 @@ from occfusion.human import Avatar, Gaussians
 from occfusion.human.body import Body
 from occfusion.human.observability import UNSURE, Observability, ObservedSurface
 from occfusion.human.rendering import Renderer
-from occfusion.human.surface_terms import (
+from occfusion.human.surface_bounds import (
     INWARDS,
     LONG,
     OUTWARDS,

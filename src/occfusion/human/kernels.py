@@ -24,14 +24,14 @@ def compile_kernels(renderer: Renderer) -> None:
             module.warm_up()
         return
     from occfusion.geometry import box_kernels
-    from occfusion.human import carry_kernels, color_kernels, surface_kernels
+    from occfusion.human import carry_kernels, color_kernels, surface_bounds_kernels
     from occfusion.quality import fused
     from occfusion.splat.backends.numba import ahead
 
     ahead.wait()
     renderer.warm_up()
     of_gaussians, of_joints = (
-        (carry_kernels, color_kernels, surface_kernels),
+        (carry_kernels, color_kernels, surface_bounds_kernels),
         (rotation_kernels, skinning_kernels),
     )
     for module in (fused, *of_gaussians, *of_joints, box_kernels):

@@ -13,7 +13,7 @@ from occfusion.human.avatar import Avatar
 from occfusion.human.gaussians import starting_sizes
 from occfusion.human.observability import Observability
 from occfusion.human.rendering import Renderer
-from occfusion.human.surface_terms import HELD_FROM, KnownSurface, hold
+from occfusion.human.surface_bounds import HELD_FROM, KnownSurface, hold
 from occfusion.human.virtual_views import VirtualView
 from occfusion.settings.stages import SurfaceSettings
 

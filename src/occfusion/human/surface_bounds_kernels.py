@@ -1,4 +1,4 @@
-"""`surface_terms` Gaussian by Gaussian."""
+"""`surface_bounds` Gaussian by Gaussian."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from occfusion.cpu.compilation import array_of, inline, kernel, run_parts
 from occfusion.geometry.quaternion_kernels import Array, Matrix, rotation, unit
 from occfusion.human.gaussians import Gaussians
-from occfusion.human.surface_terms import (
+from occfusion.human.surface_bounds import (
     HELD_FROM,
     INWARDS,
     LEAST_COSINE,
@@ -26,7 +26,7 @@ BLOCK = 1024
 
 
 def hold(gaussians: Gaussians, surface: KnownSurface) -> None:
-    """As `surface_terms.hold`, but for the count of changes of the parameters."""
+    """As `surface_bounds.hold`, but for the count of changes of the parameters."""
     run_parts(
         _hold, gaussians.means.detach().numpy(), array_of(gaussians.raw_quats),
         gaussians.log_scales.detach().numpy(), array_of(gaussians.vertex_index),

@@ -56,14 +56,14 @@ def hold(gaussians: Gaussians, surface: KnownSurface, *, compiled: bool = True) 
     Args:
         gaussians: canonical.
         surface: of the body that they are held to.
-        compiled: by the kernels of `surface_kernels.py`, of which this is the specification, where they take the
+        compiled: by the kernels of `surface_bounds_kernels.py`, of which this is the specification, where they take the
             Gaussians: float32 on a CPU.
     """
     if compiled and _are_taken(gaussians):
         # numba is loaded where it is used
-        from occfusion.human import surface_kernels
+        from occfusion.human import surface_bounds_kernels
 
-        surface_kernels.hold(gaussians, surface)
+        surface_bounds_kernels.hold(gaussians, surface)
         increment_version([gaussians.means, gaussians.log_scales])  # what is kept of them is asked for anew
         return
     held = (surface.ignorance[gaussians.vertex_index] >= HELD_FROM).nonzero()[:, 0]
