@@ -21,7 +21,7 @@ HALF_ANGLE = 20.0
 """Degrees about a line by which looks spread (root mean square) when the place along it counts as half known."""
 KNOWN_LOOKS = 3.0
 """Sum of looks (`geometry.coverage`) at which a place counts as half seen."""
-UNSURE = 0.010
+UNSURE = 0.003
 """Metres that clothes stand off at which half of it is believed."""
 
 
