@@ -240,6 +240,29 @@ def test_kept_offsets_stand_between_turns_and_rendering_sees_the_present(body):
     assert torch.allclose(avatar.eval()(pose, CENTRE).means, present, atol=1e-13)
 
 
+def test_a_pose_as_given_has_nothing_learned_and_teaches_gaussians_alone(body):
+    avatar = shake(Avatar(body, sh_degree=1, skinning_every=3), size=0.01).train()
+    with torch.no_grad():
+        for network in (avatar.pose_refiner, avatar.skinning_field):
+            for parameter in network.parameters():
+                parameter += 0.05
+    pose = make_pose(7)
+    avatar.prepare(0)  # the skinning network has its turn
+    for _ in range(2):  # nothing is kept of it yet, then something is
+        given = avatar.deform(pose, as_given=True)
+        learned = avatar.deform(pose)
+        assert float((given.means - learned.means).detach().abs().max()) > 1e-4
+        given.means.square().sum().backward()
+        assert float(avatar.gaussians.means.grad.abs().max()) > 0.0
+        for network in (avatar.pose_refiner, avatar.skinning_field):
+            assert all(parameter.grad is None for parameter in network.parameters())
+    # skinning is as it was learned
+    unposed = copy.deepcopy(avatar)
+    unposed.pose_refiner = None
+    with torch.no_grad():
+        torch.testing.assert_close(unposed.deform(pose).means, avatar.deform(pose, as_given=True).means)
+
+
 def test_rendering_in_inference_mode_does_not_disturb_training(body):
     avatar, optimizer = start(body)
     twin, twin_optimizer = start(body)
