@@ -101,6 +101,17 @@ def test_a_camera_goes_round_its_target(angle):
     assert float(cosine) == pytest.approx(scale * math.cos(angle), abs=1e-9)
 
 
+def test_a_camera_that_is_too_near_steps_back_and_shows_its_target_as_large():
+    up, origin = torch.tensor([0.0, 1.0, 0.0]), torch.zeros(3)
+    K = torch.tensor([[50.0, 0.0, 3.0], [0.0, 60.0, 5.0], [0.0, 0.0, 1.0]])
+    near = Camera(look_at(torch.tensor([0.0, 0.0, 0.5]), origin, up), K, 9, 7)
+    for nearest, distance in ((0.4, 0.5), (2.0, 2.0)):
+        found = camera_round(near, origin, up, 1.0, nearest=nearest)
+        assert float(found.centre.norm()) == pytest.approx(distance)
+        expected = [[100.0 * distance, 0.0, 4.5], [0.0, 120.0 * distance, 3.5], [0.0, 0.0, 1.0]]
+        torch.testing.assert_close(found.K, torch.tensor(expected, dtype=torch.float64))
+
+
 def test_a_camera_that_looks_along_the_axis_has_sides_too():
     above = Camera(look_at(*torch.eye(3).mul(3.0)[[1, 0]], torch.tensor([0.0, 0.0, 1.0])), torch.eye(3), 4, 4)
     target, axis = above.centre - torch.tensor([0.0, 2.0, 0.0]), torch.tensor([0.0, 1.0, 0.0])

@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from occfusion.geometry.camera import camera_round, look_at
 from occfusion.geometry.coverage import Sighting, cover
+from occfusion.human.body import Body
 from occfusion.human.observability import Observability, observe_surface
-from occfusion.human.virtual_views import REACH, VirtualView, virtual_view, virtual_views
+from occfusion.human.virtual_views import LARGEST, REACH, VirtualView, virtual_view, virtual_views
 from occfusion.types import Camera, Pose
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=0.3)
@@ -111,13 +112,18 @@ def test_what_is_known_turns_with_the_body(from_front):
     assert torch.equal(still.is_away, turned.is_away)
 
 
-def test_views_go_round_each_frames_own_body(free_body, from_front):
-    """Bodies that stand elsewhere, and one that lies: each fills its picture, seen from another side."""
-    count = free_body.num_vertices
+def all_open(body: Body) -> tuple[Observability, NDArray[np.float64]]:
+    """What a video says of a body of which it says nothing; and clothes of no thickness."""
+    count = body.num_vertices
     known = Observability(
-        np.tile(np.eye(3) / 3, (count, 1, 1)), np.tile(np.diag([0.0, 0.0, 1.0]), (count, 1, 1)),
-        np.tile([0.0, 0.0, 1.0], (count, 1)), np.ones(count), np.zeros(count), np.ones(count, bool),
+        np.tile(np.eye(3) / 3, (count, 1, 1)), np.tile(np.eye(3) / 3, (count, 1, 1)),
+        np.tile([0.0, 0.0, 1.0], (count, 1)), np.ones(count), np.ones(count), np.zeros(count, bool),
     )  # fmt: skip
+    return known, np.zeros(count)
+
+
+def test_views_go_round_each_frames_own_body(free_body):
+    """Bodies that stand elsewhere, and one that lies: each fills its picture, seen from another side."""
     lying = torch.tensor([math.pi / 2, 0.0, 0.0])
     turns = (torch.zeros(3), torch.zeros(3), torch.zeros(3), lying)
     poses = (
@@ -125,7 +131,7 @@ def test_views_go_round_each_frames_own_body(free_body, from_front):
         for k, turn in enumerate(turns)
     )
     frames = [(pose, camera_before(4.0)) for pose in poses]
-    found = virtual_views(frames, free_body, known, np.zeros(count))
+    found = virtual_views(frames, free_body, *all_open(free_body))
     assert [view.pose.frame_index for view in found] == [0, 1, 2, 3]
     heights = []
     for view in found:
@@ -137,3 +143,15 @@ def test_views_go_round_each_frames_own_body(free_body, from_front):
     assert max(heights) < 1.08 * min(heights)  # upright in the picture, also who lies
     sides = [view.camera.viewmat[2, :3].double().numpy() for view in found[:3]]
     assert all(math.degrees(math.acos(a @ b)) > 60 for a, b in pairwise(sides))
+
+
+@pytest.mark.parametrize(("distance", "focal"), [(0.4, 300.0), (0.9, 4000.0), (60.0, 9000.0)])
+def test_close_ups_and_large_pictures_stay_small(free_body, distance, focal):
+    """A camera that an arm reaches, one whose picture shows a hand alone, and one far away."""
+    for view in virtual_views(
+        [(STANDING, camera_before(distance, focal))] * 5, free_body, known, np.zeros(count)
+    ):
+        assert max(view.camera.width, view.camera.height) <= LARGEST + 2
+        shown = view.alpha.numpy() > 127
+        assert 0.05 < shown.mean() < 0.8
+        assert not (shown[0].any() or shown[-1].any() or shown[:, 0].any() or shown[:, -1].any())

@@ -63,17 +63,21 @@ def orbit_camera(target: Tensor, angle: float, distance: float, field_of_view: f
     return Camera(look_at(eye, target, target.new_tensor([0.0, 1.0, 0.0])), K, size, size)
 
 
-def camera_round(camera: Camera, target: Tensor, axis: Tensor, angle: float) -> Camera:
+def camera_round(
+    camera: Camera, target: Tensor, axis: Tensor, angle: float, *, nearest: float = 0.0
+) -> Camera:
     """Returns a camera on the circle round an axis through a target, which it has in the middle of its picture.
 
-    It is as far away and as large as the given one, has the same focal lengths, and the axis points up. The angle
-    begins on the side of the given camera; should that look along the axis, on any.
+    It is as far away and as large as the given one, has the same focal lengths, and the axis points up; where the
+    given one is nearer than `nearest`, it is that far away and shows the target as large. The angle begins on the side
+    of the given camera; should that look along the axis, on any.
 
     Args:
         camera: of any type.
         target: centre of the circle, `[3]`, metres; not the camera's own place.
         axis: `[3]`, of any length but 0.
         angle: radians, counter-clockwise for who looks against the axis.
+        nearest: metres.
     """
     away = camera.centre.double() - target.double()
     axis = functional.normalize(axis.double(), dim=0)
@@ -83,8 +87,10 @@ def camera_round(camera: Camera, target: Tensor, axis: Tensor, angle: float) -> 
         out = functional.one_hot(least, 3).to(axis) - axis[least] * axis
     out = functional.normalize(out, dim=0)
     side = torch.linalg.cross(axis, out)
-    eye = target.double() + away.norm() * (math.cos(angle) * out + math.sin(angle) * side)
+    distance = max(float(away.norm()), nearest)
+    eye = target.double() + distance * (math.cos(angle) * out + math.sin(angle) * side)
     K = camera.K.double().clone()
+    K[:2] *= distance / away.norm()
     K[:2, 2] = K.new_tensor([camera.width / 2, camera.height / 2])
     return Camera(look_at(eye, target.double(), axis), K, camera.width, camera.height)
 

@@ -27,6 +27,10 @@ VIEWS = 96
 """Virtual views of a video."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 """Turns from each view to the next: any few that follow each other are spread all round."""
+NEAREST = 2.0
+"""Distance of a camera from the middle of the body, in distances from there to its farthest place, at least."""
+LARGEST = 512
+"""Pixels of a side of a view at most: outlines of clothes are not known to less than some millimetres."""
 REACH = 0.1
 """Metres that a view shows around the dressed body."""
 AWAY = -0.1
@@ -70,7 +74,8 @@ def virtual_views(
     """Returns a view of each frame's dressed body from a side: cameras go round the body's own axis, feet to head.
 
     Args:
-        frames: their poses and cameras; the distance of a camera stays.
+        frames: their poses and cameras; the distance of a camera stays, unless it is so near that it would cut into
+            the person.
         body: of the poses.
         known: of its surface.
         thickness: how far clothes stand off at each place, `[V]`, metres.
@@ -81,10 +86,11 @@ def virtual_views(
         there = pose.to(body.v_template.device)
         posed, _ = body(there.betas, there.global_orient, there.body_pose, there.transl)
         vertices = posed.double().cpu().numpy()
-        middle = torch.from_numpy(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+        middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        nearest = NEAREST * float(np.linalg.norm(vertices - middle, axis=1).max())
         axis = axis_angle_to_matrix(pose.global_orient.cpu())[:, 1]  # bodies are upright along +y
         angle = 2.0 * math.pi * (number * GOLDEN % 1.0)
-        beside = camera_round(camera.to("cpu"), middle, axis, angle)
+        beside = camera_round(camera.to("cpu"), torch.from_numpy(middle), axis, angle, nearest=nearest)
         views.append(virtual_view(vertices, canonical, faces, known, thickness, beside, pose))
     return views
 
@@ -142,8 +148,11 @@ def _around(dressed: Floats, camera: Camera) -> Camera:
     viewmat, K = (part.double().numpy() for part in (camera.viewmat, camera.K))
     pixels, depths = project_vertices(dressed, viewmat, K)
     rim = REACH * K[0, 0] / float(np.median(depths))
-    least, most = np.floor(pixels.min(axis=0) - rim), np.ceil(pixels.max(axis=0) + rim)
-    moved = camera.K.clone().double()
+    least, most = pixels.min(axis=0) - rim, pixels.max(axis=0) + rim
+    scale = min(1.0, LARGEST / float((most - least).max()))
+    least, most = np.floor(scale * least), np.ceil(scale * most)
+    moved = camera.K.double().clone()
+    moved[:2] *= scale
     moved[:2, 2] -= torch.from_numpy(least)
     width, height = (most - least).astype(int).tolist()
     return Camera(camera.viewmat, moved, width, height)
