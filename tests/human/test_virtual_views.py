@@ -148,9 +148,8 @@ def test_views_go_round_each_frames_own_body(free_body):
 @pytest.mark.parametrize(("distance", "focal"), [(0.4, 300.0), (0.9, 4000.0), (60.0, 9000.0)])
 def test_close_ups_and_large_pictures_stay_small(free_body, distance, focal):
     """A camera that an arm reaches, one whose picture shows a hand alone, and one far away."""
-    for view in virtual_views(
-        [(STANDING, camera_before(distance, focal))] * 5, free_body, known, np.zeros(count)
-    ):
+    frames = [(STANDING, camera_before(distance, focal))] * 5
+    for view in virtual_views(frames, free_body, *all_open(free_body)):
         assert max(view.camera.width, view.camera.height) <= LARGEST + 2
         shown = view.alpha.numpy() > 127
         assert 0.05 < shown.mean() < 0.8
