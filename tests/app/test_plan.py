@@ -413,7 +413,7 @@ def surface_of(turn: float) -> ObservedSurface:
     nothing = np.zeros((2, 3, 3))
     places = np.zeros(2)
     known = Observability(nothing, nothing, np.zeros((2, 3)), places, places, places > 0)
-    return ObservedSurface(known, 0.8, turn, places, 0.01)
+    return ObservedSurface(known, 0.8, turn, places)
 
 
 def planned_for(surface: ObservedSurface | None, *overrides: str) -> planning.Plan:
