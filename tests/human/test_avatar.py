@@ -451,7 +451,7 @@ def test_a_turn_has_the_gradient_of_its_rows(body):
 
     def whole() -> torch.Tensor:
         offsets = torch.where(rows[:, None], avatar.skinning_field(avatar.gaussians.means.detach()), kept)
-        avatar._binding = lambda: avatar._bind_offsets(offsets)
+        avatar._binding = lambda **_: avatar._bind_offsets(offsets)
         return (avatar(pose, CENTRE).means * weights).sum()
 
     (wanted,) = torch.autograd.grad(whole(), last)
