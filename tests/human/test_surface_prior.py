@@ -11,6 +11,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from occfusion.geometry.camera import camera_round, orbit_camera
+from occfusion.geometry.coverage import surface_frames
 from occfusion.geometry.normals import vertex_normals
 from occfusion.human import Avatar, Gaussians
 from occfusion.human.body import Body
@@ -68,11 +69,11 @@ def prior_of(
 ) -> SurfacePrior:
     known = known or seen_from_front(body)
     points, faces = body.da_vertices().double().numpy(), body.faces.numpy()
-    thickness = np.full(len(points), 0.01)
+    thickness, frames = np.full(len(points), 0.01), surface_frames(points, faces)
     pose, middle, up = body.da_pose(), torch.from_numpy(points.mean(axis=0)), torch.tensor([0.0, 1.0, 0.0])
     before = orbit_camera(middle, 0.0, 3.0, 0.75, 160)
     views = [
-        virtual_view(points, points, faces, known, thickness, camera_round(before, middle, up, angle), pose)
+        virtual_view(points, frames, faces, known, thickness, camera_round(before, middle, up, angle), pose)
         for angle in np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False)
     ]
     return SurfacePrior(

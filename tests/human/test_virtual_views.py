@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from occfusion.geometry.camera import camera_round, look_at
-from occfusion.geometry.coverage import Sighting, cover
+from occfusion.geometry.coverage import Sighting, cover, surface_frames
 from occfusion.human.body import Body
 from occfusion.human.observability import Observability, observe_surface
-from occfusion.human.virtual_views import LARGEST, REACH, VirtualView, virtual_view, virtual_views
+from occfusion.human.virtual_views import LARGEST, REACH, VirtualView, VirtualViews, virtual_view
 from occfusion.types import Camera, Pose
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=0.3)
@@ -52,7 +52,9 @@ def seen_at(known: Observability, angle: float, turn: NDArray[np.float64] | None
         moved[:3, :3] = torch.from_numpy(turn.T)
         camera = Camera(camera.viewmat.double() @ moved, camera.K, camera.width, camera.height)
     posed = POINTS if turn is None else POINTS @ turn.T
-    return virtual_view(posed, POINTS, FACES, known, np.full(len(POINTS), CLOTHES), camera, STANDING)
+    return virtual_view(
+        posed, surface_frames(POINTS, FACES), FACES, known, np.full(len(POINTS), CLOTHES), camera, STANDING
+    )
 
 
 def from_middle(view: VirtualView) -> NDArray[np.float64]:
@@ -126,12 +128,12 @@ def test_views_go_round_each_frames_own_body(free_body):
     """Bodies that stand elsewhere, and one that lies: each fills its picture, seen from another side."""
     lying = torch.tensor([math.pi / 2, 0.0, 0.0])
     turns = (torch.zeros(3), torch.zeros(3), torch.zeros(3), lying)
-    poses = (
+    poses = [
         Pose(torch.zeros(10), turn, torch.zeros(69), torch.tensor([0.3 * k, 0.0, 0.0]), k)
         for k, turn in enumerate(turns)
-    )
+    ]
     frames = [(pose, camera_before(4.0)) for pose in poses]
-    found = virtual_views(frames, free_body, *all_open(free_body))
+    found = VirtualViews(len(frames), frames.__getitem__, free_body, *all_open(free_body))
     assert [view.pose.frame_index for view in found] == [0, 1, 2, 3]
     heights = []
     for view in found:
@@ -148,9 +150,24 @@ def test_views_go_round_each_frames_own_body(free_body):
 @pytest.mark.parametrize(("distance", "focal"), [(0.4, 300.0), (0.9, 4000.0), (60.0, 9000.0)])
 def test_close_ups_and_large_pictures_stay_small(free_body, distance, focal):
     """A camera that an arm reaches, one whose picture shows a hand alone, and one far away."""
-    frames = [(STANDING, camera_before(distance, focal))] * 5
-    for view in virtual_views(frames, free_body, *all_open(free_body)):
+    frame = (STANDING, camera_before(distance, focal))
+    for view in VirtualViews(5, lambda number: frame, free_body, *all_open(free_body)):
         assert max(view.camera.width, view.camera.height) <= LARGEST + 2
         shown = view.alpha.numpy() > 127
         assert 0.05 < shown.mean() < 0.8
         assert not (shown[0].any() or shown[-1].any() or shown[:, 0].any() or shown[:, -1].any())
+
+
+def test_views_are_drawn_once_and_only_when_asked_for(free_body):
+    asked = []
+
+    def frame(number: int) -> tuple[Pose, Camera]:
+        asked.append(number)
+        return STANDING, camera_before()
+
+    views = VirtualViews(8, frame, free_body, *all_open(free_body))
+    assert len(views) == 8 and asked == []
+    assert views[5] is views[5] and views[-1] is views[7] and asked == [5, 7]
+    assert views[4:6][1] is views[5] and asked == [5, 7, 4]
+    with pytest.raises(IndexError):
+        views[8]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
 import torch
@@ -14,7 +15,6 @@ from torch import Tensor
 from occfusion.geometry.camera import camera_round, project_vertices
 from occfusion.geometry.coverage import surface_frames
 from occfusion.geometry.distance import nearest_set
-from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.geometry.zbuffer import NO_FACE, rasterize_mesh
 from occfusion.human.body import Body
@@ -67,32 +67,67 @@ class VirtualView:
         return replace(self, **pictures)
 
 
-@torch.no_grad()
-def virtual_views(
-    frames: Iterable[tuple[Pose, Camera]], body: Body, known: Observability, thickness: Floats
-) -> list[VirtualView]:
-    """Returns a view of each frame's dressed body from a side: cameras go round the body's own axis, feet to head.
+class VirtualViews(Sequence[VirtualView]):
+    """Views of a dressed body from all sides: cameras go round its own axis, feet to head.
+
+    A view is drawn when it is first asked for, and kept: a short training, and one that goes on, asks for few.
 
     Args:
-        frames: their poses and cameras; the distance of a camera stays, unless it is so near that it would cut into
-            the person.
+        count: of views.
+        frame: pose and camera of the frame of a view's number; the distance of a camera stays, unless it is so near
+            that it would cut into the person.
         body: of the poses.
         known: of its surface.
         thickness: how far clothes stand off at each place, `[V]`, metres.
+        device: on which the pictures are kept.
     """
-    canonical, faces = body.da_vertices().double().cpu().numpy(), body.faces.cpu().numpy()
-    views = []
-    for number, (pose, camera) in enumerate(frames):
-        there = pose.to(body.v_template.device)
-        posed, _ = body(there.betas, there.global_orient, there.body_pose, there.transl)
+
+    def __init__(
+        self,
+        count: int,
+        frame: Callable[[int], tuple[Pose, Camera]],
+        body: Body,
+        known: Observability,
+        thickness: Floats,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self._drawn: list[VirtualView | None] = [None] * count
+        self._frame, self._body, self._known, self._thickness = frame, body, known, thickness
+        self._device = torch.device(device)
+        self._faces = body.faces.cpu().numpy()
+        self._canonical = surface_frames(body.da_vertices().double().cpu().numpy(), self._faces)
+
+    def __len__(self) -> int:
+        return len(self._drawn)
+
+    @overload
+    def __getitem__(self, number: int) -> VirtualView: ...
+
+    @overload
+    def __getitem__(self, number: slice) -> list[VirtualView]: ...
+
+    def __getitem__(self, number: int | slice) -> VirtualView | list[VirtualView]:
+        if isinstance(number, slice):
+            return [self[k] for k in range(*number.indices(len(self)))]
+        view = self._drawn[number]
+        if view is None:
+            view = self._drawn[number] = self._draw(number % len(self)).to(self._device)
+        return view
+
+    @torch.no_grad()
+    def _draw(self, number: int) -> VirtualView:
+        pose, camera = self._frame(number)
+        there = pose.to(self._body.v_template.device)
+        posed, _ = self._body(there.betas, there.global_orient, there.body_pose, there.transl)
         vertices = posed.double().cpu().numpy()
         middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         nearest = NEAREST * float(np.linalg.norm(vertices - middle, axis=1).max())
         axis = axis_angle_to_matrix(pose.global_orient.cpu())[:, 1]  # bodies are upright along +y
         angle = 2.0 * math.pi * (number * GOLDEN % 1.0)
         beside = camera_round(camera.to("cpu"), torch.from_numpy(middle), axis, angle, nearest=nearest)
-        views.append(virtual_view(vertices, canonical, faces, known, thickness, beside, pose))
-    return views
+        return virtual_view(
+            vertices, self._canonical, self._faces, self._known, self._thickness, beside, pose
+        )
 
 
 def virtual_view(
@@ -108,14 +143,15 @@ def virtual_view(
 
     Args:
         posed: vertices of the body, `[V, 3]`, metres.
-        canonical: the same in the pose of `known`, `[V, 3]`.
+        canonical: `surface_frames` of the body in the pose of `known`, `[V, 3, 3]`.
         faces: triangles, `[F, 3]`, corners counter-clockwise from outside.
         known: what the video says of each place.
         thickness: how far clothes stand off at each place, `[V]`, metres.
         camera: its picture is cut to the person, or grows by what it does not show of it.
         pose: of the body.
     """
-    normals = vertex_normals(posed, faces)
+    frames = surface_frames(posed, faces)
+    normals = frames[:, 2]
     dressed = posed + np.maximum(thickness, 0.0)[:, None] * normals
     camera = _around(dressed, camera)
     viewmat, K = (part.double().numpy() for part in (camera.viewmat, camera.K))
@@ -129,8 +165,7 @@ def virtual_view(
     corner = faces[np.maximum(face, 0), shares.argmax(axis=2)]
     vertex = corner.ravel()[nearest_set(covered)]
     # across the picture, turned into the canonical pose with each place
-    local = surface_frames(posed, faces) @ viewmat[0, :3]
-    across = np.einsum("vki,vk->vi", surface_frames(canonical, faces), local)
+    across = np.einsum("vki,vk->vi", canonical, frames @ viewmat[0, :3])
     towards = camera.centre.double().numpy() - dressed
     cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
     return VirtualView(

@@ -26,7 +26,7 @@ from occfusion.human.densify import Densifier
 from occfusion.human.kernels import compile_kernels
 from occfusion.human.observability import ObservedSurface
 from occfusion.human.rendering import Renderer
-from occfusion.human.virtual_views import VIEWS, VirtualView, virtual_views
+from occfusion.human.virtual_views import VIEWS, VirtualViews
 from occfusion.inpaint.accumulation import Accumulated, accumulate
 from occfusion.inpaint.completion import ColorCompleter, write_completion
 from occfusion.observation.frames import ObservedFrame
@@ -229,7 +229,7 @@ class AvatarTraining:
         )
 
     @cached_property
-    def virtual_views(self) -> list[VirtualView]:
+    def virtual_views(self) -> VirtualViews:
         """The person of the training frames from other sides, for both stages; in every second view limbs are spread.
 
         In poses of the video a surface is stretched as people will see it; spread limbs hide nothing of it.
@@ -244,7 +244,8 @@ class AvatarTraining:
             pose = replace(pose, body_pose=limbs.to(pose.body_pose)) if number % 2 else pose
             return pose, self.data.camera_at(frame, camera)
 
-        return virtual_views(map(posed, range(VIEWS)), self.body, self.surface.known, self.surface.thickness)
+        known, thickness = self.surface.known, self.surface.thickness
+        return VirtualViews(VIEWS, posed, self.body, known, thickness, self.renderer.device)
 
     def accumulate(self, avatar: Avatar, most: int, opacity: float | None = None) -> Accumulated:
         """Returns what the training frames, evenly chosen at most so many, show of an avatar's Gaussians.

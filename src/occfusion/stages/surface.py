@@ -30,7 +30,7 @@ class SurfacePrior:
         known: what the video says of the surface.
         normals: of the canonical body, `[V, 3]`.
         thickness: how far clothes stand off at each place, `[V]`, metres.
-        views: of the body; used only where `outline` or `backface` have a weight.
+        views: of the body, on the renderer's device; used only where `outline` or `backface` have a weight.
         settings: weights, in multiples of the colours' L1.
         renderer: draws the views.
         seed: decides which view is taken, step by step.
@@ -50,7 +50,7 @@ class SurfacePrior:
         self.settings = settings
         self.renderer = renderer
         self.seed = seed
-        self._views = [view.to(renderer.device) for view in views]
+        self._views = views
         self._compiled = renderer.backend == "numba"
         self._known: KnownSurface | None = None
         self._holds = settings.hold and bool((known.ignorance >= HELD_FROM).any())
