@@ -7,6 +7,10 @@ PYTEST_ARGS ?= -m "not slow"
 # test files are dealt out to this many processes
 WORKERS ?= 2
 
+# Where Python may not keep what it compiled, and nothing was compiled at installation, each of a hundred processes
+# compiles all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: install demo test lint lock
 install: $(VENV)/.installed
 

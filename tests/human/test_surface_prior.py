@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,13 +28,28 @@ from occfusion.human.surface_bounds import (
     KnownSurface,
     hold,
 )
-from occfusion.human.virtual_views import virtual_view
+from occfusion.human.virtual_views import VirtualView, virtual_view
 from occfusion.settings.stages import SurfaceSettings
 from occfusion.stages.surface import SurfacePrior
 
 BACKENDS = pytest.mark.parametrize("backend", ["torch", "numba"])
 ALL = SurfaceSettings(outline=1.0, backface=1.0, every=1)
 NOTHING = SurfaceSettings(outline=0.0, backface=0.0, hold=False)
+
+
+class Views(Sequence[VirtualView]):
+    """From so many sides evenly round the body in the canonical pose, drawn when they are asked for."""
+
+    def __init__(self, count: int, draw: Callable[[float], VirtualView]) -> None:
+        self.count, self.draw = count, cache(draw)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, number):
+        if isinstance(number, slice):
+            return [self[k] for k in range(*number.indices(self.count))]
+        return self.draw(2.0 * math.pi * number / self.count)
 
 
 def seen_from_front(body: Body, ignorance: float = 1.0) -> Observability:
@@ -72,12 +89,19 @@ def prior_of(
     thickness, frames = np.full(len(points), 0.01), surface_frames(points, faces)
     pose, middle, up = body.da_pose(), torch.from_numpy(points.mean(axis=0)), torch.tensor([0.0, 1.0, 0.0])
     before = orbit_camera(middle, 0.0, 3.0, 0.75, 160)
-    views = [
-        virtual_view(points, frames, faces, known, thickness, camera_round(before, middle, up, angle), pose)
-        for angle in np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False)
-    ]
+
+    def draw(angle: float) -> VirtualView:
+        camera = camera_round(before, middle, up, angle)
+        return virtual_view(points, frames, faces, known, thickness, camera, pose)
+
     return SurfacePrior(
-        known, vertex_normals(points, faces), thickness, views, settings, renderer=Renderer(backend), seed=0
+        known,
+        vertex_normals(points, faces),
+        thickness,
+        Views(24, draw),
+        settings,
+        renderer=Renderer(backend),
+        seed=0,
     )
 
 
