@@ -57,6 +57,7 @@ def offer_again_and_again(root: Path, number: int, barrier: Barrier) -> None:
         assert len(os.listdir(root / f"taken{number}" / str(k))) == 30
 
 
+@pytest.mark.slow
 def test_two_processes_never_get_one_folder(tmp_path: Path) -> None:
     barrier, results = SPAWN.Barrier(2), SPAWN.Queue()
     workers = [
@@ -152,6 +153,7 @@ def test_the_same_run_is_not_done_by_two_at_once(tmp_path: Path) -> None:
     assert not os.listdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_two_processes_offer_the_same_results(tmp_path: Path) -> None:
     barrier = SPAWN.Barrier(2)
     workers = [SPAWN.Process(target=offer_again_and_again, args=(tmp_path, n, barrier)) for n in (0, 1)]

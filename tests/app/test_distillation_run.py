@@ -60,6 +60,7 @@ def test_variants_distil_what_they_say(train: Train, calls: list[tuple[int, str,
     assert [used(folder, "loss term sds_can") for folder in (b, c, d)] == [False, False, True]
 
 
+@pytest.mark.slow
 def test_the_whole_system_leaves_it_out_where_masks_are_complete(
     train: Train,
     calls: list[tuple[int, str, float]],

@@ -83,6 +83,7 @@ def test_without_a_lamp_nothing_is_looked_for(tmp_path: Path) -> None:
     assert np.isfinite([m.vertices for m in observed_frames]).all()
 
 
+@pytest.mark.slow
 def test_pictures_of_a_camera_whose_exposure_wanders_are_evened(tmp_path: Path) -> None:
     """Each frame is too bright by a gain of its own; read again, it is as it was filmed under a steady exposure."""
     write_scene(tmp_path, SPEC, progress=False)

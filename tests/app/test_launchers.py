@@ -27,11 +27,12 @@ def command(scene_root: Path, *overrides: str) -> list[str]:
     "launcher",
     [
         ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"],
-        pytest.param(["hydra/launcher=submitit_local"], marks=pytest.mark.slow),
-        pytest.param(["hydra/launcher=ray", "+hydra.launcher.ray.init.num_cpus=2"], marks=pytest.mark.slow),
+        ["hydra/launcher=submitit_local"],
+        ["hydra/launcher=ray", "+hydra.launcher.ray.init.num_cpus=2"],
     ],
     ids=lambda launcher: launcher[0].split("=")[1],
 )
+@pytest.mark.slow
 def test_jobs_at_once_end_in_one_table(tmp_path: Path, scene_root: Path, launcher: list[str]) -> None:
     """Both seeds want the folder `A`, and both want the complete masks of `B` that one of them makes."""
     if missing_launcher(launcher) is not None:

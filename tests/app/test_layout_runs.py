@@ -91,6 +91,7 @@ def test_frames_in_which_somebody_else_hides_the_person(source: Source, tmp_path
     assert summary["occluded_frames"] == 1 and summary["visible_share"]["1"] < 0.8
 
 
+@pytest.mark.slow
 def test_every_layout_takes_the_same_first_steps(source: Source, tmp_path: Path) -> None:
     writers.write_refined(source, tmp_path)
     writers.write_humannerf(source, tmp_path / "plain")

@@ -39,6 +39,7 @@ def test_what_only_tracing_and_linear_algebra_need_is_left_to_others(way: str, e
 @pytest.mark.parametrize(
     "first", ["torch", "lightning", "torch._meta_registrations", "torch._functorch.config"]
 )
+@pytest.mark.slow
 def test_both_can_be_had_afterwards(first: str) -> None:
     """Parts of torch that trace import each other in a circle; `render --path train` reads data with Lightning."""
     told = told_by(

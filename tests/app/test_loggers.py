@@ -23,6 +23,7 @@ from occfusion.stages.loggers import beside_truth, check_logger
 Train = Callable[..., tuple[Path, dict[str, Any]]]
 
 
+@pytest.mark.slow
 def test_tensorboard_has_curves_and_pictures_and_training_stays_the_same(
     train: Train, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,6 +69,7 @@ def test_tensorboard_has_curves_and_pictures_and_training_stays_the_same(
         assert (pictures[0].width, pictures[0].height) == (192, 96)
 
 
+@pytest.mark.slow
 def test_wandb_without_a_network_writes_a_run_a_stage(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
     wandb = pytest.importorskip("wandb")
     monkeypatch.setenv("WANDB_ERROR_REPORTING", "false")

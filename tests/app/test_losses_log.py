@@ -46,6 +46,7 @@ def test_every_step_has_its_terms_their_weighted_sum_rates_and_gaussians(train: 
     assert float(rows[0]["rate_means"]) > float(rows[-1]["rate_means"]) > 0
 
 
+@pytest.mark.slow
 def test_stopped_and_killed_runs_end_with_the_table_of_an_uninterrupted_one(
     train: Train, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -80,6 +81,7 @@ def test_stopped_and_killed_runs_end_with_the_table_of_an_uninterrupted_one(
     assert table.read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_a_run_that_takes_a_stage_over_has_its_losses(
     train: Train, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -30,6 +30,7 @@ def train(cwd: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_table_failures_and_no_second_run(tmp_path: Path, scene_root: Path) -> None:
     scene = [
         f"dataset.root={scene_root}", "dataset.scene=001-clean", f"body.path={scene_root}/001-clean/body.npz"

@@ -81,6 +81,7 @@ def assert_averaged(first: dict[str, Any], second: dict[str, Any]) -> None:
     assert_same(first["state"], second["state"])
 
 
+@pytest.mark.slow
 def test_two_processes_train_one_avatar(whole: tuple[Path, str, list[Any]]) -> None:
     """Other frames, equal parameters; Gaussians that are added between steps are averaged as those before them."""
     cwd, said, (first, second) = whole

@@ -71,6 +71,7 @@ def test_a_person_is_found_again_from_key_points():
     assert fit.quality.trusted and fit.quality.doubtful == [] and fit.swapped == []
 
 
+@pytest.mark.slow
 def test_the_height_that_is_given_is_the_bodys_and_its_place_follows():
     points, truth = observed()
     body, far = embedded_body(), truth[:, 0, 2].mean()

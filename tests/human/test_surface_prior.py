@@ -204,6 +204,7 @@ def test_the_front_does_not_shine_through_a_closed_back(free_body):
 
 
 @BACKENDS
+@pytest.mark.slow
 def test_strays_are_brought_back_and_holes_closed_by_descent(free_body, backend):
     """The outline becomes that of the dressed body, a centimetre off it, from all sides."""
     avatar, prior = (

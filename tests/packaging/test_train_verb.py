@@ -36,6 +36,7 @@ def test_the_verb_says_and_returns_what_the_script_does(
     assert said in verb.stdout + verb.stderr
 
 
+@pytest.mark.slow
 def test_a_multirun_of_the_verb_ends_in_a_table_and_the_first_failures_code(tmp_path: Path) -> None:
     done = run(*VERB, "-m", "dataset=zju", "seed=0,1", cwd=tmp_path)
     assert done.returncode == 1

@@ -139,6 +139,7 @@ def test_backends_that_cannot_run_are_left_out_unless_asked_for():
         available_backends(CPU, ["torch", "no-such"])
 
 
+@pytest.mark.slow
 def test_the_verb_measures_everything_and_writes_it(tmp_path, capsys):
     before = torch.get_num_threads()
     assert main(["bench", "--quick", "--backends", "torch", "--output", str(tmp_path / "out")]) == 0
