@@ -14,12 +14,14 @@ from occfusion.inpaint.accumulation import (
     BEHIND,
     BLUR,
     ENOUGH,
+    PASSES,
     SOME,
     Accumulated,
     accumulate,
     learning_shares,
     paint_observed,
     paint_unseen,
+    sharpened,
 )
 from occfusion.splat import rasterize
 from occfusion.types import Frame
@@ -241,3 +243,62 @@ def test_few_pixels_for_many_gaussians_are_better_than_grey(
     found = accumulate(avatar, [red], RENDERER)
     assert_close(found.colors, torch.tensor([0.8, 0.1, 0.2]).expand_as(found.colors), rtol=0, atol=2e-3)
     assert (found.seen > 0.5).sum() >= (found.weights > SOME).sum() // 2 - 1
+
+
+LAMP = torch.tensor([0.5, 0.3, -0.8])
+
+
+@pytest.mark.parametrize("lamp", [None, LAMP])
+def test_detail_is_added_as_a_dense_matrix_has_it(
+    avatar: Avatar, make_frame: MakeFrame, lamp: torch.Tensor | None
+) -> None:
+    """The picture as a matrix of each Gaussian's share in each visible pixel, inverted step by step in float64."""
+    frames = [make_frame(0), make_frame(1, left_half())]
+    avatar.relight(lamp)
+    before = accumulate(avatar, frames, RENDERER)
+    found = sharpened(avatar, lambda: frames, RENDERER, before)
+    shares = [pictures_one_by_one(avatar, frame)[0].flatten(1).double() for frame in frames]
+    counts = sum(share.sum(dim=1) for share in shares).clamp(min=SOME)
+    weights, colors = before.weights.double(), before.colors.double()
+    trusted = before.seen.double() * weights / (weights + weights[weights > SOME].median())
+    shade = avatar.brightness(avatar.deform(frames[0].pose)) if lamp is not None else torch.ones(len(weights))
+    for _ in range(PASSES):
+        lacking = torch.zeros_like(colors)
+        for share, frame in zip(shares, frames, strict=True):
+            drawn = share.T @ (colors * shade[:, None].double())
+            visible = frame.visible_mask.flatten()[:, None]
+            lacking += (
+                share @ (visible * (frame.rgb.flatten(0, 1).double() - drawn)) / shade[:, None].double()
+            )
+        colors = (colors + trusted[:, None] * lacking / counts[:, None]).clamp(0.0, 1.0)
+    assert_close(found.colors.double(), colors, rtol=0, atol=2e-4)
+    assert torch.equal(found.weights, before.weights)
+    assert (found.colors - before.colors).abs().max() > 0.02, "there was detail to add"
+
+
+def test_pictures_of_sharpened_colours_are_nearer_to_the_frames(
+    avatar: Avatar, make_frame: MakeFrame
+) -> None:
+    frame = make_frame(0)
+    before = accumulate(avatar, [frame], RENDERER)
+    errors = []
+    for found in (before, sharpened(avatar, lambda: [frame], RENDERER, before)):
+        paint_observed(avatar, found)
+        drawn = RENDERER.frame(avatar, frame).rgb
+        errors.append(float((drawn - frame.rgb)[frame.visible_mask].square().mean()))
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_what_no_frame_shows_is_not_sharpened(avatar: Avatar, make_frame: MakeFrame) -> None:
+    everything = torch.ones(SIZE, SIZE, dtype=torch.bool)
+    hidden = [make_frame(0, everything)]
+    nothing = accumulate(avatar, hidden, RENDERER)
+    assert sharpened(avatar, lambda: hidden, RENDERER, nothing) is nothing
+    half = [make_frame(0, left_half())]
+    with torch.no_grad():
+        avatar.gaussians.means[:5] += 100.0  # out of the picture
+    before = accumulate(avatar, half, RENDERER)
+    after = sharpened(avatar, lambda: half, RENDERER, before)
+    unseen = before.weights == 0
+    assert unseen.any() and torch.equal(after.colors[unseen], before.colors[unseen])
+    assert after.colors.isfinite().all() and all(p.grad is None for p in avatar.parameters())

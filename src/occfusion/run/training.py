@@ -27,7 +27,7 @@ from occfusion.human.kernels import compile_kernels
 from occfusion.human.observability import ObservedSurface
 from occfusion.human.rendering import Renderer
 from occfusion.human.virtual_views import VIEWS, VirtualViews
-from occfusion.inpaint.accumulation import Accumulated, accumulate
+from occfusion.inpaint.accumulation import Accumulated, accumulate, sharpened
 from occfusion.inpaint.completion import ColorCompleter, write_completion
 from occfusion.observation.frames import ObservedFrame
 from occfusion.perceptual import PerceptualMetric
@@ -48,6 +48,8 @@ from occfusion.types import Camera, Frame, Pose, Truth
 
 LOOKED_AT = 200
 """Frames at most that say what colours Gaussians start with, and how fast they learn."""
+SHARPENED_FROM = 40
+"""Frames at most that say what accumulated colours lack."""
 WARM_UP_SAID = 0.05
 """Seconds from which on the user is told of the rasteriser's warming up."""
 
@@ -261,6 +263,18 @@ class AvatarTraining:
         frames = (self.data.train_frame(k, truth=False) for k in positions)
         is_closed = any(stage.surface.is_used for stage in (self.planned.optim, self.planned.refine))
         return accumulate(avatar.eval(), frames, self.renderer, opacity, through=not is_closed)
+
+    def sharpened(self, avatar: Avatar, accumulated: Accumulated) -> Accumulated:
+        """Returns what the video shows, with its detail, where colours are completed from it."""
+        if self.planned.optim.unseen_colors != "prior":
+            return accumulated
+        positions = spread(len(self.data.train_indices), SHARPENED_FROM)
+        return sharpened(
+            avatar.eval(),
+            lambda: (self.data.train_frame(k, truth=False) for k in positions),
+            self.renderer,
+            accumulated,
+        )
 
     def complete(self, avatar: Avatar, accumulated: Accumulated) -> Accumulated:
         """Returns what the video shows of the Gaussians, with the colours of the rest completed where the plan says so.
