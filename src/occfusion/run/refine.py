@@ -107,7 +107,7 @@ def repaint_unseen(training: AvatarTraining, avatar: Avatar) -> Accumulated:
         avatar: the coarse avatar; its colours are changed in place.
     """
     accumulated = training.accumulate(avatar, GATHERED_FROM)
-    paint_unseen(avatar, training.complete(avatar, training.sharpened(avatar, accumulated)))
+    paint_unseen(avatar, training.complete(avatar, accumulated, is_trained=True))
     return accumulated
 
 

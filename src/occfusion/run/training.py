@@ -264,25 +264,26 @@ class AvatarTraining:
         is_closed = any(stage.surface.is_used for stage in (self.planned.optim, self.planned.refine))
         return accumulate(avatar.eval(), frames, self.renderer, opacity, through=not is_closed)
 
-    def sharpened(self, avatar: Avatar, accumulated: Accumulated) -> Accumulated:
-        """Returns what the video shows, with its detail, where colours are completed from it."""
-        if self.planned.optim.unseen_colors != "prior":
-            return accumulated
-        positions = spread(len(self.data.train_indices), SHARPENED_FROM)
-        return sharpened(
-            avatar.eval(),
-            lambda: (self.data.train_frame(k, truth=False) for k in positions),
-            self.renderer,
-            accumulated,
-        )
-
-    def complete(self, avatar: Avatar, accumulated: Accumulated) -> Accumulated:
+    def complete(self, avatar: Avatar, accumulated: Accumulated, *, is_trained: bool = False) -> Accumulated:
         """Returns what the video shows of the Gaussians, with the colours of the rest completed where the plan says so.
 
         The completed colours of the body stay in the run folder.
+
+        Args:
+            avatar: on the body.
+            accumulated: of its Gaussians.
+            is_trained: whether it draws the video well enough to say what detail the accumulated colours lack.
         """
         if self.planned.optim.unseen_colors != "prior":
             return accumulated
+        if is_trained:
+            positions = spread(len(self.data.train_indices), SHARPENED_FROM)
+            accumulated = sharpened(
+                avatar.eval(),
+                lambda: (self.data.train_frame(k, truth=False) for k in positions),
+                self.renderer,
+                accumulated,
+            )
         completer = ColorCompleter(avatar.body, self.planned.prior.completion, self.renderer.device)
         completed, completion = completer.of_avatar(avatar, accumulated)
         write_completion(self.folder.completion, self.folder.completion_picture, completion, completer.body)
