@@ -166,10 +166,19 @@ def test_nothing_seen_and_flat_colours_stay_finite_and_in_range(completer, value
     assert float(found.colors.min()) >= 0.0 and float(found.colors.max()) <= 1.0
 
 
-def test_people_it_has_not_learned_from_are_completed_better_than_by_what_is_nearby(completer):
+@pytest.fixture(scope="module")
+def strangers():
+    """People whom the network has not learned from: colours nearby, how well each is seen, the truth."""
+    return [floats(make_example(number, 11, validation=True)) for number in range(6)]
+
+
+@pytest.mark.parametrize("brightness", [1.0, 0.7, 0.5])
+def test_people_it_has_not_learned_from_are_completed_better_than_by_what_is_nearby(
+    completer, strangers, brightness
+):
     gains = []
-    for number in range(6):
-        filled, seen, truth = floats(make_example(number, 11, validation=True))
+    for bright_filled, seen, bright_truth in strangers:
+        filled, truth = brightness * bright_filled, brightness * bright_truth
         found, unseen = completer.complete(filled, seen), seen < 0.2
         gains.append(psnr(found.colors[unseen], truth[unseen]) - psnr(filled[unseen], truth[unseen]))
     assert np.mean(gains) > 0.5 and min(gains) > -0.5, gains

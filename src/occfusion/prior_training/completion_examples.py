@@ -37,7 +37,7 @@ VALIDATION = range(90, 100)
 """Subjects that are measured on, as they are; the others are what people are put together from."""
 OUTWARDS = 0.03
 """Metres from the skin from where the nearest cloth or hair is what a camera sees."""
-FRAMES = 10
+FRAMES = 30
 """Of a video, spread over it."""
 PICTURE, FOCAL, DISTANCE = 192, 206.0, 2.65  # pixels, pixels, metres
 OTHER_PATTERN = 0.4
