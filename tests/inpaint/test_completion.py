@@ -172,7 +172,7 @@ def strangers():
     return [floats(make_example(number, 11, validation=True)) for number in range(6)]
 
 
-@pytest.mark.parametrize("brightness", [1.0, 0.7, 0.5])
+@pytest.mark.parametrize("brightness", [1.0, 0.7, 0.5, 0.3, 0.02])
 def test_people_it_has_not_learned_from_are_completed_better_than_by_what_is_nearby(
     completer, strangers, brightness
 ):
@@ -182,6 +182,13 @@ def test_people_it_has_not_learned_from_are_completed_better_than_by_what_is_nea
         found, unseen = completer.complete(filled, seen), seen < 0.2
         gains.append(psnr(found.colors[unseen], truth[unseen]) - psnr(filled[unseen], truth[unseen]))
     assert np.mean(gains) > 0.5 and min(gains) > -0.5, gains
+
+
+def test_a_video_that_is_too_dark_for_it_is_answered_in_proportion(completer, strangers):
+    filled, seen, _ = strangers[0]
+    dim, dark = completer.complete(0.2 * filled, seen), completer.complete(0.01 * filled, seen)
+    torch.testing.assert_close(dark.colors, 0.05 * dim.colors, atol=1e-6, rtol=1e-3)
+    torch.testing.assert_close(dark.spread, 0.05 * dim.spread, atol=1e-6, rtol=1e-3)
 
 
 def test_where_it_is_unsure_it_is_wrong_more_often(completer):

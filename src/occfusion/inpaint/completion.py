@@ -35,6 +35,9 @@ NEIGHBOURS = 4
 """Gaussians that speak for a vertex, and vertices that speak for a Gaussian."""
 MOST_SPREAD = 0.5
 """Standard deviation of a colour, 0..1, at most."""
+DARKEST, BRIGHTEST = 0.2, 0.7
+"""Root mean square of what is seen, 0..1, between which nearly all lie that the network was trained on (90 %). Darker and
+brighter people are shown to it as if they were at these."""
 CLOSE = 0.003
 """Metres added to distances, so that a Gaussian on a vertex does not count infinitely."""
 
@@ -94,12 +97,13 @@ class ColorCompleter:
             filled: colours by what is seen nearby, `[V, 3]`, 0..1.
             seen: how well each vertex is known, `[V]`, 0..1.
         """
-        planes = completion_planes(self.body, filled, seen)[None].to(self.device)
+        gain = _gain(filled, seen)
+        planes = completion_planes(self.body, gain * filled, seen)[None].to(self.device)
         expected, spread = (part[0].cpu() for part in self.net(planes))
         unseen = 1.0 - seen
-        lacking = self.body.fold(expected - planes[0, FILLED].cpu().unflatten(0, (SIDES, 3)))
+        lacking = self.body.fold(expected - planes[0, FILLED].cpu().unflatten(0, (SIDES, 3))) / gain
         colors = (filled + unseen[:, None] * lacking).clamp(0.0, 1.0)
-        unsure = self.body.fold(spread.exp().clamp(LEAST_SPREAD, MOST_SPREAD)[:, None])[:, 0]
+        unsure = self.body.fold(spread.exp().clamp(LEAST_SPREAD, MOST_SPREAD)[:, None])[:, 0] / gain
         return Completion(filled, seen, colors, unseen * unsure)
 
     def of_avatar(self, avatar: Avatar, accumulated: Accumulated) -> tuple[Accumulated, Completion]:
@@ -117,6 +121,12 @@ class ColorCompleter:
         shares, chosen = _near(means, self.vertices)
         added = (shares[..., None] * (found.colors - found.filled)[chosen]).sum(dim=1).to(accumulated.colors)
         return replace(accumulated, colors=(accumulated.colors + added).clamp(0.0, 1.0)), found
+
+
+def _gain(filled: Tensor, seen: Tensor) -> float:
+    """Returns what colours are multiplied by for the network; 1 for nearly all that it was trained on."""
+    level = float(((seen[:, None] * filled.square()).sum() / (3.0 * seen.sum()).clamp(min=1e-6)).sqrt())
+    return min(max(level, DARKEST), BRIGHTEST) / level if level > 0.0 else 1.0
 
 
 def _near(points: Tensor, references: Tensor) -> tuple[Tensor, Tensor]:
