@@ -36,7 +36,7 @@ NEIGHBOURS = 4
 MOST_SPREAD = 0.5
 """Standard deviation of a colour, 0..1, at most."""
 DARKEST, BRIGHTEST = 0.2, 0.7
-"""Root mean square of what is seen, 0..1, between which 90 % of those lie that the network was trained on. Darker and
+"""Root mean square of what is seen, 0..1, between which 97 % of those lie that the network was trained on. Darker and
 brighter people are shown to it as if they were at these."""
 CLOSE = 0.003
 """Metres added to distances, so that a Gaussian on a vertex does not count infinitely."""
