@@ -34,8 +34,8 @@ from occfusion.inpaint.completion_net import (
 NEIGHBOURS = 4
 """Gaussians that speak for a vertex, and vertices that speak for a Gaussian."""
 MOST_SPREAD = 0.5
-"""Standard deviation of a colour, 0..1, at most."""
-DARKEST, BRIGHTEST = 0.2, 0.7
+"""Standard deviation of a colour, 0..1, at most, in the brightness that the network sees."""
+LEAST_LEVEL, MOST_LEVEL = 0.2, 0.7
 """Root mean square of what is seen, 0..1, between which 97 % of those lie that the network was trained on. Darker and
 brighter people are shown to it as if they were at these."""
 CLOSE = 0.003
@@ -126,7 +126,7 @@ class ColorCompleter:
 def _gain(filled: Tensor, seen: Tensor) -> float:
     """Returns what colours are multiplied by for the network; 1 for nearly all that it was trained on."""
     level = float(((seen[:, None] * filled.square()).sum() / (3.0 * seen.sum()).clamp(min=1e-6)).sqrt())
-    return min(max(level, DARKEST), BRIGHTEST) / level if level > 0.0 else 1.0
+    return min(max(level, LEAST_LEVEL), MOST_LEVEL) / level if level > 0.0 else 1.0
 
 
 def _near(points: Tensor, references: Tensor) -> tuple[Tensor, Tensor]:
