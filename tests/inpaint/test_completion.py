@@ -191,6 +191,15 @@ def test_a_video_that_is_too_dark_for_it_is_answered_in_proportion(completer, st
     torch.testing.assert_close(dark.spread, 0.05 * dim.spread, atol=1e-6, rtol=1e-3)
 
 
+def test_a_video_that_is_too_bright_for_it_is_answered_in_proportion(completer, strangers):
+    filled, seen, _ = strangers[0]
+    pale = 0.75 + 0.1 * filled
+    more, less = completer.complete(pale, seen), completer.complete(0.95 * pale, seen)
+    is_inside = more.colors < 1.0  # of the range of colours
+    assert is_inside.float().mean() > 0.5
+    torch.testing.assert_close(less.colors[is_inside], 0.95 * more.colors[is_inside], atol=1e-6, rtol=1e-3)
+
+
 def test_where_it_is_unsure_it_is_wrong_more_often(completer):
     filled, seen, truth = floats(make_example(3, 11, validation=True))
     found, unseen = completer.complete(filled, seen), seen < 0.2
