@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -16,11 +18,13 @@ from occfusion.inpaint.completion_net import (
     BODY,
     FILLED,
     LEAST_SPREAD,
+    LEVEL,
     PLANES,
     SEEN,
     SIDES,
     SIZE,
     CompletionNet,
+    brightness_gain,
     check_completion_net,
     completion_loss,
     completion_planes,
@@ -184,20 +188,16 @@ def test_people_it_has_not_learned_from_are_completed_better_than_by_what_is_nea
     assert np.mean(gains) > 0.5 and min(gains) > -0.5, gains
 
 
-def test_a_video_that_is_too_dark_for_it_is_answered_in_proportion(completer, strangers):
+@pytest.mark.parametrize("brightness", [0.9, 0.3, 0.03])
+def test_the_answer_is_in_proportion_to_the_brightness(completer, strangers, brightness):
     filled, seen, _ = strangers[0]
-    dim, dark = completer.complete(0.2 * filled, seen), completer.complete(0.01 * filled, seen)
-    torch.testing.assert_close(dark.colors, 0.05 * dim.colors, atol=1e-6, rtol=1e-3)
-    torch.testing.assert_close(dark.spread, 0.05 * dim.spread, atol=1e-6, rtol=1e-3)
-
-
-def test_a_video_that_is_too_bright_for_it_is_answered_in_proportion(completer, strangers):
-    filled, seen, _ = strangers[0]
-    pale = 0.75 + 0.1 * filled
-    more, less = completer.complete(pale, seen), completer.complete(0.95 * pale, seen)
-    is_inside = more.colors < 1.0  # of the range of colours
-    assert is_inside.float().mean() > 0.5
-    torch.testing.assert_close(less.colors[is_inside], 0.95 * more.colors[is_inside], atol=1e-6, rtol=1e-3)
+    bright, dark = completer.complete(filled, seen), completer.complete(brightness * filled, seen)
+    is_inside = (bright.colors > 0.0) & (bright.colors < 1.0)  # of the range of colours
+    assert is_inside.float().mean() > 0.9
+    torch.testing.assert_close(
+        dark.colors[is_inside], brightness * bright.colors[is_inside], atol=1e-6, rtol=1e-3
+    )
+    torch.testing.assert_close(dark.spread, brightness * bright.spread, atol=1e-6, rtol=1e-3)
 
 
 def test_where_it_is_unsure_it_is_wrong_more_often(completer):
@@ -242,6 +242,23 @@ def test_examples_are_the_same_every_time_and_people_are_mixed():
     assert len({person.pattern for person in people}) > 1
     skin = vertex_colours(make_subject(1), None)
     assert skin.shape == (embedded_body().num_vertices, 3) and skin.min() >= 0.0 and skin.max() <= 1.0
+
+
+def test_people_of_a_batch_are_equally_bright(tmp_path):
+    """However dark a person is, the root mean square of what is seen is `LEVEL` for the network."""
+    task = CompletionTask(PriorTrainingSettings(network="completion", batch=2), tmp_path, 0)
+    example = make_example(0, 0)
+    dark = replace(example, truth=example.truth // 3, filled=example.filled // 3)
+    batches = [
+        task.make_batch([each], rng) for each in (example, dark) for rng in (None, np.random.default_rng(1))
+    ]
+    for bright, dim in zip(batches[:2], batches[2:], strict=True):
+        for name in ("clean", "conditions"):
+            torch.testing.assert_close(getattr(bright, name), getattr(dim, name), atol=0.02, rtol=0.0)
+    _, seen, _ = floats(example)
+    seen_colors = brightness_gain(floats(dark)[0], seen) * floats(dark)[0]
+    level = (seen[:, None] * seen_colors.square()).sum() / (3.0 * seen.sum())
+    assert float(level.sqrt()) == pytest.approx(LEVEL, rel=1e-4)
 
 
 def test_a_batch_mirrors_pictures_and_targets_alike(tmp_path):

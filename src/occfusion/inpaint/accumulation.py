@@ -59,7 +59,21 @@ def accumulate(
     *,
     through: bool = True,
 ) -> Accumulated:
-    """Returns the colours that the visible pixels of `frames` show of the avatar's Gaussians.
+    """Returns what the visible pixels of `frames` show of the avatar's Gaussians; arguments as those of `gather`."""
+    colors, weights = gather(avatar, frames, renderer, opacity, through=through)
+    return Accumulated(with_neighbours(colors, weights, avatar.gaussians.means.detach()), weights)
+
+
+@torch.enable_grad()
+def gather(
+    avatar: Avatar,
+    frames: Iterable[Frame],
+    renderer: Renderer,
+    opacity: float | None = None,
+    *,
+    through: bool = True,
+) -> tuple[Tensor, Tensor]:
+    """Returns mean colours of the avatar's Gaussians in the visible pixels of `frames`, and how many these are.
 
     A picture is linear in the colours of its Gaussians. The gradient of its sum over the visible pixels is
     therefore each Gaussian's blending weight there, and that of its product with the observation the weighted
@@ -73,6 +87,9 @@ def accumulate(
         opacity: of all Gaussians, where the avatar has not learned its own yet; None: its own.
         through: whether what shines through what is in front counts as seen. It has the colours of that; where a
             person does not turn, no other frame says better.
+
+    Returns:
+        colours `[N, 3]`, 0..1, black where nothing is seen, and visible pixels that each Gaussian made up, `[N]`.
     """
     count = avatar.gaussians.num_gaussians
     means = avatar.gaussians.means.detach()
@@ -97,8 +114,7 @@ def accumulate(
         counts = torch.ones_like(behind) if through else torch.sigmoid((BEHIND - behind) / BLUR)
         weights += counts * seen[:, 0]
         sums += counts[:, None] * (observed if shade is None else observed / shade[:, None])
-    colors = sums / weights.clamp(min=1e-6)[:, None]
-    return Accumulated(with_neighbours(colors, weights, means), weights)
+    return sums / weights.clamp(min=1e-6)[:, None], weights
 
 
 def sharpened(

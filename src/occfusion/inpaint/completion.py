@@ -27,6 +27,7 @@ from occfusion.inpaint.completion_net import (
     LEAST_SPREAD,
     SIDES,
     SIZE,
+    brightness_gain,
     completion_planes,
     load_completion_net,
 )
@@ -35,9 +36,6 @@ NEIGHBOURS = 4
 """Gaussians that speak for a vertex, and vertices that speak for a Gaussian."""
 MOST_SPREAD = 0.5
 """Standard deviation of a colour, 0..1, at most, in the brightness that the network sees."""
-LEAST_LEVEL, MOST_LEVEL = 0.2, 0.7
-"""Root mean square of what is seen, 0..1, between which 97 % of those lie that the network was trained on. Darker and
-brighter people are shown to it as if they were at these."""
 CLOSE = 0.003
 """Metres added to distances, so that a Gaussian on a vertex does not count infinitely."""
 
@@ -97,7 +95,7 @@ class ColorCompleter:
             filled: colours by what is seen nearby, `[V, 3]`, 0..1.
             seen: how well each vertex is known, `[V]`, 0..1.
         """
-        gain = _gain(filled, seen)
+        gain = brightness_gain(filled, seen)
         planes = completion_planes(self.body, gain * filled, seen)[None].to(self.device)
         expected, spread = (part[0].cpu() for part in self.net(planes))
         unseen = 1.0 - seen
@@ -121,12 +119,6 @@ class ColorCompleter:
         shares, chosen = _near(means, self.vertices)
         added = (shares[..., None] * (found.colors - found.filled)[chosen]).sum(dim=1).to(accumulated.colors)
         return replace(accumulated, colors=(accumulated.colors + added).clamp(0.0, 1.0)), found
-
-
-def _gain(filled: Tensor, seen: Tensor) -> float:
-    """Returns what colours are multiplied by for the network; 1 for nearly all that it was trained on."""
-    level = float(((seen[:, None] * filled.square()).sum() / (3.0 * seen.sum()).clamp(min=1e-6)).sqrt())
-    return min(max(level, LEAST_LEVEL), MOST_LEVEL) / level if level > 0.0 else 1.0
 
 
 def _near(points: Tensor, references: Tensor) -> tuple[Tensor, Tensor]:

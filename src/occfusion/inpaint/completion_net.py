@@ -14,7 +14,7 @@ from occfusion.priors.embedded.network_file import Card, load_net
 from occfusion.priors.embedded.unet import BlockUNet
 
 COMPLETION = "completion"
-NETWORK_VERSION = 2
+NETWORK_VERSION = 3
 SIZE = 128
 """Pixels a side of the pictures of front and back: a centimetre and a half each, as far apart as a body's vertices."""
 SIDES = 2
@@ -27,6 +27,11 @@ SEEN = [6, PLANES_A_SIDE + 6]
 BODY = [11, PLANES_A_SIDE + 11]
 """Where each stands in the planes: front, then back."""
 
+LEVEL = 0.4
+"""Root mean square of what is seen, 0..1, in the units of the network: it is told of every person as this bright."""
+DARKEST = 1e-3
+"""Level that is taken for a person who is all black."""
+
 COPIES = 3
 """Colours that a pixel's may be a mixture of: its own filled one, that of the other side, the mirrored one."""
 OWN_FIRST = 2.0
@@ -36,6 +41,17 @@ SPREAD_WEIGHT = 0.01
 """Of the spread's term in the loss, where the colours' has 1."""
 LEAST_SPREAD = 0.005
 """Standard deviation of a colour, 0..1, at least: about one grey level of 256."""
+
+
+def brightness_gain(filled: Tensor, seen: Tensor) -> float:
+    """Returns what colours are multiplied by for the network, which so answers in proportion to any brightness.
+
+    Args:
+        filled: colours of all vertices, `[V, 3]`, 0..1.
+        seen: how well each vertex is known, `[V]`, 0..1.
+    """
+    level = ((seen[:, None] * filled.square()).sum() / (3.0 * seen.sum()).clamp(min=1e-6)).sqrt()
+    return LEVEL / max(float(level), DARKEST)
 
 
 def completion_planes(body: UnfoldedBody, filled: Tensor, seen: Tensor) -> Tensor:

@@ -7,6 +7,8 @@ turn.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -14,13 +16,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
+from torch import Tensor
 
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.normals import vertex_normals
-from occfusion.geometry.zbuffer import NO_FACE, ZBuffer, rasterize_mesh
-from occfusion.human import Body
+from occfusion.geometry.zbuffer import NO_FACE, rasterize_mesh
+from occfusion.human import Avatar, Gaussians
 from occfusion.human.body import embedded_body
-from occfusion.inpaint.accumulation import known_share, with_neighbours
+from occfusion.human.rendering import Renderer
+from occfusion.inpaint.accumulation import Accumulated, gather, with_neighbours
 from occfusion.synth import regions
 from occfusion.synth.disturb import disturb_shape, disturb_take
 from occfusion.synth.dress import dress
@@ -30,8 +34,8 @@ from occfusion.synth.noise import value_noise
 from occfusion.synth.paint import EDGE, paint_places
 from occfusion.synth.regions import band
 from occfusion.synth.rotations import Floats
-from occfusion.synth.studio import Y_UP_TO_Z_UP
 from occfusion.synth.subject import PATTERNS, Subject, make_subject
+from occfusion.types import Camera, Frame, Pose
 
 VALIDATION = range(90, 100)
 """Subjects that are measured on, as they are; the others are what people are put together from."""
@@ -40,6 +44,17 @@ OUTWARDS = 0.03
 FRAMES = 30
 """Of a video, spread over it."""
 PICTURE, FOCAL, DISTANCE = 192, 206.0, 2.65  # pixels, pixels, metres
+INTRINSICS = np.array([[FOCAL, 0.0, 0.5 * PICTURE], [0.0, FOCAL, 0.5 * PICTURE], [0.0, 0.0, 1.0]])
+LONGER = (1.0, 5.0, 25.0)
+"""How many times more pixels a person may have been seen in: videos are longer, and pictures larger."""
+THICKNESS = 0.002
+"""Metres, of Gaussians on the body, as a training begins."""
+OPACITIES = (0.3, 0.95)
+"""Of all Gaussians, at least and at most: those of a trained avatar are not quite opaque."""
+SCATTER = 0.006
+"""Metres of standard deviation, at most, by which Gaussians lie off the body, as training moves them."""
+PIXEL_NOISE = 0.02
+"""Standard deviation of a pixel's colour, 0..1."""
 OTHER_PATTERN = 0.4
 """Share of people whose top has a pattern of no embedded subject."""
 MOST_ERRORS = 3
@@ -64,9 +79,11 @@ class Example:
 
 
 @cache
-def _body() -> tuple[Body, torch.Tensor]:
+def _avatar() -> Avatar:
+    """Returns an avatar that is nothing but the body: a Gaussian on each vertex, as a training begins."""
     body = embedded_body()
-    return body, body.da_vertices()
+    gaussians = Gaussians.on_body(body, 0, thickness=THICKNESS)
+    return Avatar(body, sh_degree=0, refine_pose=False, learn_skinning=False, gaussians=gaussians).eval()
 
 
 def make_example(number: int, seed: int, *, validation: bool = False) -> Example:
@@ -81,10 +98,8 @@ def make_example(number: int, seed: int, *, validation: bool = False) -> Example
     subject = make_subject(int(VALIDATION[number % len(VALIDATION)])) if validation else mixed_subject(rng)
     truth = vertex_colours(subject, None if validation else rng)
     facing = float(rng.choice([0.0, 0.0, 180.0])) if validation else None
-    colors, weights = watched(truth, subject.betas, rng, facing)
-    known = torch.from_numpy(weights).float()
-    filled = with_neighbours(torch.from_numpy(colors).float(), known, _body()[1])
-    return Example(_bytes(truth), _bytes(filled.numpy()), _bytes(known_share(known).numpy()))
+    shown = watched(truth, subject.betas, rng, facing)
+    return Example(_bytes(truth), _bytes(shown.colors.numpy()), _bytes(shown.seen.numpy()))
 
 
 def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -155,20 +170,18 @@ def _other_pattern(points: Floats, subject: Subject, rng: np.random.Generator) -
 
 def watched(
     truth: Floats, betas: Floats, rng: np.random.Generator, facing: float | None = None
-) -> tuple[Floats, Floats]:
+) -> Accumulated:
     """Returns what a short video shows at each vertex of a body whose poses and shape may be off.
 
-    The pictures are of the true body, under a lamp that was not quite found; they are read where the estimated one
-    says, so that a hand may leave its colour on the hip that it hangs before.
+    The pictures are of the true body, under a lamp that was not quite found. They are read as a run reads them, through
+    the Gaussians of an avatar that is posed as estimated: a hand may leave its colour on the hip that it hangs before,
+    and what is not quite opaque lets the front's colours through to the back, which then counts as seen.
 
     Args:
         truth: colours of the person, `[V, 3]`, 0..1.
         betas: the person's shape.
         rng: source of all choices.
         facing: degrees that a person who hardly turns is turned away from the camera; None: any, and any turn.
-
-    Returns:
-        mean colours, `[V, 3]`, and in how many pixels each vertex was seen, `[V]`, summed over the frames.
     """
     turn = 30.0
     if facing is None:
@@ -181,40 +194,51 @@ def watched(
     for _ in range(rng.integers(MOST_ERRORS + 1)):
         taken_for, shape = disturb_take(taken_for, rng), disturb_shape(shape, rng)
     height = rng.uniform(0.7, 1.5)
-    viewmat = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, height], [0, 1.0, 0, DISTANCE], [0, 0, 0, 1.0]])
+    viewmat = np.array([[1.0, 0, 0, 0], [0, -1.0, 0, height], [0, 0, -1.0, DISTANCE], [0, 0, 0, 1.0]])
+    camera = Camera(_tensor(viewmat), _tensor(INTRINSICS), PICTURE, PICTURE)
     centre = PICTURE * rng.uniform(0.3, 0.7)
     half = 0.0 if rng.uniform() < 0.3 else PICTURE * rng.uniform(0.03, 0.14)
     hidden_frames = rng.choice([0.8, 1.0])
     beside = np.abs(np.arange(PICTURE) + 0.5 - centre) > half
     lamp = rng.normal(size=3)
     lamp *= rng.uniform(0.0, LAMP) / np.linalg.norm(lamp)
+    tint = 1.0 + rng.normal(0.0, 0.02, 3)
     faces = load_model_body().faces
-    weights, sums = np.zeros(len(truth)), np.zeros((len(truth), 3))
-    for k, frame in enumerate(np.linspace(0, len(take.poses) - 1, FRAMES).round().astype(int)):
-        points = _posed(take, betas, frame)
-        true, seen = _seen(points, viewmat), _seen(_posed(taken_for, shape, frame), viewmat)
-        shaded = truth * (1.0 + vertex_normals(points, faces) @ lamp)[:, None]
-        picture = (true.barycentrics[..., None] * shaded[faces[true.face]]).sum(axis=2)
-        shown = (true.face != NO_FACE) & (seen.face != NO_FACE)
-        if k < hidden_frames * FRAMES:
-            shown &= beside
-        shares, corners = seen.barycentrics[shown], faces[seen.face[shown]]
-        np.add.at(weights, corners, shares)
-        np.add.at(sums, corners, shares[..., None] * picture[shown][:, None])
-    colors = sums / np.maximum(weights, 1e-6)[:, None]
-    colors = colors * (1.0 + rng.normal(0.0, 0.02, (1, 3))) + rng.normal(0.0, 0.015, colors.shape)
-    return np.clip(colors, 0.0, 1.0), weights * rng.choice([3.0, 10.0, 30.0])
+
+    def frames() -> Iterator[Frame]:
+        for k, moment in enumerate(np.linspace(0, len(take.poses) - 1, FRAMES).round().astype(int)):
+            points = _posed(take, betas, moment)
+            pixels, depths = project_vertices(points, viewmat, INTRINSICS)
+            drawn = rasterize_mesh(pixels, depths, faces, PICTURE, PICTURE)
+            shaded = truth * tint * (1.0 + vertex_normals(points, faces) @ lamp)[:, None]
+            picture = (drawn.barycentrics[..., None] * shaded[faces[drawn.face]]).sum(axis=2)
+            picture += rng.normal(0.0, PIXEL_NOISE, picture.shape)
+            shown = drawn.face != NO_FACE
+            if k < hidden_frames * FRAMES:
+                shown &= beside
+            pose = taken_for.poses[moment]
+            yield Frame(
+                index=int(moment), camera_index=0, name=f"{moment:06d}", rgb=_tensor(picture.clip(0.0, 1.0)),
+                visible_mask=torch.from_numpy(shown), occluded=None, complete_mask=None, truth=None, camera=camera,
+                pose=Pose(*map(_tensor, (shape, pose[:3], pose[3:], taken_for.transl[moment]))),
+            )  # fmt: skip
+
+    avatar, opacity = deepcopy(_avatar()), float(rng.uniform(*OPACITIES))
+    scatter = rng.uniform(0.0, SCATTER) * rng.normal(size=(len(truth), 3))
+    with torch.no_grad():
+        avatar.gaussians.means += _tensor(scatter)
+    colors, pixels = gather(avatar, frames(), Renderer("auto"), opacity, through=False)
+    weights = pixels * float(rng.choice(LONGER))
+    return Accumulated(with_neighbours(colors, weights, avatar.gaussians.means.detach()), weights)
+
+
+def _tensor(values: Floats) -> Tensor:
+    return torch.from_numpy(np.asarray(values, np.float32))
 
 
 def _posed(take: Take, betas: Floats, frame: int) -> Floats:
-    """Returns the vertices of a body in a frame, z up, `[V, 3]`, metres."""
+    """Returns the vertices of a body in a frame, y up, `[V, 3]`, metres."""
     model = load_model_body()
     rest = model.template + model.shapedirs @ betas
     transforms = bone_transforms(take.poses[frame], model.regressor @ rest, model.parents)
-    return np.asarray((skin(rest, model.weights, transforms) + take.transl[frame]) @ Y_UP_TO_Z_UP.T)
-
-
-def _seen(points: Floats, viewmat: Floats) -> ZBuffer:
-    K = np.array([[FOCAL, 0, 0.5 * PICTURE], [0, FOCAL, 0.5 * PICTURE], [0, 0, 1.0]])
-    pixels, depths = project_vertices(points, viewmat, K)
-    return rasterize_mesh(pixels, depths, load_model_body().faces, PICTURE, PICTURE)
+    return np.asarray(skin(rest, model.weights, transforms) + take.transl[frame])

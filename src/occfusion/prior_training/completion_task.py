@@ -23,6 +23,7 @@ from occfusion.inpaint.completion_net import (
     SIDES,
     SIZE,
     CompletionNet,
+    brightness_gain,
     completion_loss,
     completion_planes,
 )
@@ -30,7 +31,7 @@ from occfusion.prior_training.completion_examples import Example, make_example
 from occfusion.prior_training.task import Batch, PriorTask
 from occfusion.settings.stages import PriorTrainingSettings
 
-VERSION = 3
+VERSION = 4
 """Of the corpus: raised whenever its bytes change."""
 KNOWN_WEIGHT = 0.1
 """In the loss, of what the video shows well; what it does not show counts 1."""
@@ -38,11 +39,8 @@ UNSEEN = 0.2
 """Share known up to which a place counts as not seen, in figures."""
 SHUFFLED, FLIPPED = 0.4, 0.5
 """Shares of the examples whose channels of colour change places, and who are mirrored."""
-DARKEST, BRIGHTEST = 0.5, 1.15
-"""How bright an example is made, at least and at most: videos are dark or bright, and what they show of an embedded
-person has 0.75 to 0.9 of the painted colours."""
 TINTS = 0.1
-"""By how much of itself each channel is changed besides, at most."""
+"""By how much of itself each channel of an example is changed, at most."""
 ARRAYS = ("truth", "filled", "seen")
 
 
@@ -117,9 +115,10 @@ class CompletionTask(PriorTask[CompletionNet]):
             )
             if rng is not None:
                 order = rng.permutation(3).tolist() if rng.uniform() < SHUFFLED else [0, 1, 2]
-                brightness = np.exp(rng.uniform(np.log(DARKEST), np.log(BRIGHTEST)))
-                gain = torch.from_numpy(brightness * rng.uniform(1.0 - TINTS, 1.0 + TINTS, 3)).float()
-                truth, filled = ((part[:, order] * gain).clamp(0.0, 1.0) for part in (truth, filled))
+                tint = torch.from_numpy(rng.uniform(1.0 - TINTS, 1.0 + TINTS, 3)).float()
+                truth, filled = (part[:, order] * tint for part in (truth, filled))
+            gain = brightness_gain(filled, seen)
+            truth, filled = gain * truth, gain * filled
             drawn = completion_planes(self.body, filled, seen)
             target = self.body.unfold(truth).flatten(0, 1)
             if rng is not None and rng.uniform() < FLIPPED:
