@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from occfusion.errors import DataError
+from occfusion.geometry.normals import vertex_normals
 from occfusion.human import Avatar, Gaussians
 from occfusion.human.body import embedded_body
 from occfusion.human.unfolded import UnfoldedBody
@@ -30,7 +31,7 @@ from occfusion.inpaint.completion_net import (
     completion_planes,
     load_completion_net,
 )
-from occfusion.prior_training.completion_examples import make_example, mixed_subject, vertex_colours
+from occfusion.prior_training.completion_examples import make_example, mixed_subject, vertex_colours, watched
 from occfusion.prior_training.completion_task import CompletionTask
 from occfusion.settings.stages import PriorTrainingSettings
 from occfusion.synth.subject import make_subject
@@ -242,6 +243,22 @@ def test_examples_are_the_same_every_time_and_people_are_mixed():
     assert len({person.pattern for person in people}) > 1
     skin = vertex_colours(make_subject(1), None)
     assert skin.shape == (embedded_body().num_vertices, 3) and skin.min() >= 0.0 and skin.max() <= 1.0
+
+
+@pytest.mark.parametrize("facing", [0.0, 180.0])
+def test_what_a_camera_sees_of_a_person_is_that_side_in_its_colours(facing):
+    """Vertices that face the camera are known, few on the other side, of which turns and arms show a little."""
+    subject, body = make_subject(95), embedded_body()
+    truth = vertex_colours(subject, None)
+    normals = vertex_normals(body.da_vertices().numpy(), body.faces.numpy())
+    towards = normals[:, 2] * (1.0 if facing == 0.0 else -1.0)
+    for seed in range(3):
+        shown = watched(truth, subject.betas, np.random.default_rng(seed), facing)
+        known = (shown.seen > 0.5).float()
+        front, back = float(known[towards > 0.7].mean()), float(known[towards < -0.7].mean())
+        assert front > back + 0.25 and back < 0.45, seed  # a strip may hide much of the front in all frames
+        well = (shown.seen > 0.95).numpy() & (towards > 0.7)
+        assert np.abs(shown.colors.numpy() - truth)[well].mean() < 0.12
 
 
 def test_people_of_a_batch_are_equally_bright(tmp_path):

@@ -66,7 +66,7 @@ class CompletionTask(PriorTask[CompletionNet]):
         self._validation: list[Batch] = []
 
     def prepare(self) -> None:
-        """Makes the corpus, unless it is there: 0.6 seconds an example."""
+        """Makes the corpus, unless it is there: 0.7 seconds an example."""
         count, identity = self.settings.examples, {"version": VERSION, "seed": self.seed}
         self.folder.mkdir(parents=True, exist_ok=True)
         marker = self.folder / "corpus.json"
