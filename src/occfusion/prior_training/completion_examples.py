@@ -212,21 +212,23 @@ def watched(
             drawn = rasterize_mesh(pixels, depths, faces, PICTURE, PICTURE)
             shaded = truth * tint * (1.0 + vertex_normals(points, faces) @ lamp)[:, None]
             picture = (drawn.barycentrics[..., None] * shaded[faces[drawn.face]]).sum(axis=2)
-            picture += rng.normal(0.0, PIXEL_NOISE, picture.shape)
+            noisy = picture + rng.normal(0.0, PIXEL_NOISE, picture.shape)
             shown = drawn.face != NO_FACE
             if k < hidden_frames * FRAMES:
                 shown &= beside
             pose = taken_for.poses[moment]
             yield Frame(
-                index=int(moment), camera_index=0, name=f"{moment:06d}", rgb=_tensor(picture.clip(0.0, 1.0)),
+                index=int(moment), camera_index=0, name=f"{moment:06d}", rgb=_tensor(noisy.clip(0.0, 1.0)),
                 visible_mask=torch.from_numpy(shown), occluded=None, complete_mask=None, truth=None, camera=camera,
-                pose=Pose(*map(_tensor, (shape, pose[:3], pose[3:], taken_for.transl[moment]))),
+                pose=Pose(
+                    _tensor(shape), _tensor(pose[:3]), _tensor(pose[3:]), _tensor(taken_for.transl[moment])
+                ),
             )  # fmt: skip
 
     avatar, opacity = deepcopy(_avatar()), float(rng.uniform(*OPACITIES))
     scatter = rng.uniform(0.0, SCATTER) * rng.normal(size=(len(truth), 3))
     with torch.no_grad():
-        avatar.gaussians.means += _tensor(scatter)
+        avatar.gaussians.means.add_(_tensor(scatter))
     colors, pixels = gather(avatar, frames(), Renderer("auto"), opacity, through=False)
     weights = pixels * float(rng.choice(LONGER))
     return Accumulated(with_neighbours(colors, weights, avatar.gaussians.means.detach()), weights)
