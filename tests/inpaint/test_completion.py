@@ -31,7 +31,8 @@ from occfusion.inpaint.completion_net import (
     completion_planes,
     load_completion_net,
 )
-from occfusion.prior_training.completion_examples import make_example, mixed_subject, vertex_colours, watched
+from occfusion.prior_training.completion_examples import make_example, watched
+from occfusion.prior_training.completion_people import mixed_subject, vertex_colours
 from occfusion.prior_training.completion_task import CompletionTask
 from occfusion.settings.stages import PriorTrainingSettings
 from occfusion.synth.subject import make_subject

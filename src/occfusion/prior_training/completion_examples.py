@@ -1,21 +1,18 @@
-"""What the completion of colours is learned from: dressed people whose colours are known, and what a short video shows.
+"""What the completion of colours is learned from: people whose colours are known, and what a short video shows of them.
 
-People are put together anew from the looks of embedded subjects below `HELD_OUT_FROM`; some wear tops in patterns that
-no embedded subject has. The videos are takes of the training movements, seen by one camera, most of people who hardly
-turn.
+The videos are takes of the training movements, seen by one camera, most of people who hardly turn.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from occfusion.geometry.camera import project_vertices
@@ -25,22 +22,14 @@ from occfusion.human import Avatar, Gaussians
 from occfusion.human.body import embedded_body
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import Accumulated, gather, with_neighbours
-from occfusion.synth import regions
+from occfusion.prior_training.completion_people import VALIDATION, mixed_subject, vertex_colours
 from occfusion.synth.disturb import disturb_shape, disturb_take
-from occfusion.synth.dress import dress
-from occfusion.synth.fullbody import SKIN, bone_transforms, load_model_body, skin
+from occfusion.synth.fullbody import bone_transforms, load_model_body, skin
 from occfusion.synth.motion import Take, make_take
-from occfusion.synth.noise import value_noise
-from occfusion.synth.paint import EDGE, paint_places
-from occfusion.synth.regions import band
 from occfusion.synth.rotations import Floats
-from occfusion.synth.subject import PATTERNS, Subject, make_subject
+from occfusion.synth.subject import make_subject
 from occfusion.types import Camera, Frame, Pose
 
-VALIDATION = range(90, 100)
-"""Subjects that are measured on, as they are; the others are what people are put together from."""
-OUTWARDS = 0.03
-"""Metres from the skin from where the nearest cloth or hair is what a camera sees."""
 FRAMES = 30
 """Of a video, spread over it."""
 PICTURE, FOCAL, DISTANCE = 192, 206.0, 2.65  # pixels, pixels, metres
@@ -55,8 +44,6 @@ SCATTER = 0.006
 """Metres of standard deviation, at most, by which Gaussians lie off the body, as training moves them."""
 PIXEL_NOISE = 0.02
 """Standard deviation of a pixel's colour, 0..1."""
-OTHER_PATTERN = 0.4
-"""Share of people whose top has a pattern of no embedded subject."""
 MOST_ERRORS = 3
 """How often poses and shape are put off as those of level `hard` are, at most; each as likely, none among them."""
 LAMP = 0.2
@@ -104,68 +91,6 @@ def make_example(number: int, seed: int, *, validation: bool = False) -> Example
 
 def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.clip(values * 255.0 + 0.5, 0.0, 255.0).astype(np.uint8)
-
-
-def mixed_subject(rng: np.random.Generator) -> Subject:
-    """Returns a person with the body, hair, top and bottom of four subjects, and some colours of its own."""
-    body, hair, top, bottom = (make_subject(int(k)) for k in rng.integers(VALIDATION.start, size=4))
-    mixed = replace(
-        body,
-        hair=hair.hair,
-        hair_style=hair.hair_style,
-        pattern=str(rng.choice(PATTERNS)),
-        top_colours=np.clip(
-            rng.uniform(0.05, 0.95, (2, 3)) if rng.uniform() < 0.5 else top.top_colours, 0.0, 1.0
-        ),
-        pattern_scale=float(rng.uniform(0.03, 0.065)),
-        sleeve_end=top.sleeve_end,
-        neckline=top.neckline,
-        top_hem=0.02 if bottom.has_belt or bottom.bottom == "skirt" else min(top.top_hem, -0.03),
-        bottom=bottom.bottom,
-        bottom_colour=rng.uniform(0.05, 0.9, 3) if rng.uniform() < 0.5 else bottom.bottom_colour,
-        bottom_hem=bottom.bottom_hem,
-        has_belt=bottom.has_belt,
-        shoe_colour=top.shoe_colour,
-    )
-    return mixed
-
-
-def vertex_colours(subject: Subject, rng: np.random.Generator | None) -> Floats:
-    """Returns what cameras see at each vertex of the body, `[V, 3]`, 0..1: skin, cloth or the hair above it.
-
-    Args:
-        subject: the person.
-        rng: decides whether the top has another pattern; None: as it is.
-    """
-    figure, model = dress(subject), load_model_body()
-    colours = paint_places(subject, figure.template, figure.group)
-    if rng is not None and rng.uniform() < OTHER_PATTERN:
-        upper = regions.top(figure.template, subject, EDGE) * (figure.group == SKIN)
-        colours += upper[:, None] * (_other_pattern(figure.template, subject, rng) - colours)
-    rest = model.template + model.shapedirs @ subject.betas
-    outside = rest + OUTWARDS * vertex_normals(rest, model.faces)
-    _, index = KDTree(figure.rest).query(outside)
-    return np.asarray(colours[index])
-
-
-def _other_pattern(points: Floats, subject: Subject, rng: np.random.Generator) -> Floats:
-    """Returns the colours of a top with dots, stripes lengthwise, blots, another back, or a fade, `[N, 3]`."""
-    first, second = subject.top_colours
-    width = 1.5 * subject.pattern_scale
-    along, across = points[:, 1], points[:, 0] + 0.5 * points[:, 2]
-    match rng.integers(5):
-        case 0:
-            away = np.hypot((along % width) - 0.5 * width, (across % width) - 0.5 * width)
-            share = (away < 0.25 * width).astype(np.float64)
-        case 1:
-            share = band(across % width, 0.0, 0.5 * width, 0.003)
-        case 2:
-            share = np.clip(0.5 + 2.0 * value_noise(points, 0.08, int(rng.integers(1000)), 2), 0.0, 1.0)
-        case 3:
-            share = (points[:, 2] < 0.0).astype(np.float64)
-        case _:
-            share = np.clip((along + 0.1) / 0.55, 0.0, 1.0)
-    return np.asarray(first + share[:, None] * (second - first))
 
 
 def watched(

@@ -31,7 +31,7 @@ from occfusion.prior_training.completion_examples import Example, make_example
 from occfusion.prior_training.task import Batch, PriorTask
 from occfusion.settings.stages import PriorTrainingSettings
 
-VERSION = 4
+VERSION = 5
 """Of the corpus: raised whenever its bytes change."""
 KNOWN_WEIGHT = 0.1
 """In the loss, of what the video shows well; what it does not show counts 1."""
