@@ -6,53 +6,46 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
-from scipy.spatial import KDTree
 
-from occfusion.geometry.normals import vertex_normals
 from occfusion.human.body import embedded_body
 from occfusion.inpaint.completion import ColorCompleter, CompletionSettings
-from occfusion.prior_training import completion_people
-from occfusion.prior_training.completion_examples import watched
-from occfusion.prior_training.completion_people import VALIDATION, mixed_subject, vertex_colours
+from occfusion.prior_training.completion_copies import MARKS, back_psnr, copied_share, marked_examples
+from occfusion.prior_training.completion_people import Looks, mixed_subject, vertex_colours
 from occfusion.synth.fullbody import load_model_body
 from occfusion.synth.regions import ARM_STARTS
 from occfusion.synth.subject import make_subject
 
-SHARES = ("OTHER_PATTERN", "NO_TOP", "MARKED", "HAIRY", "MARKED_BEHIND")
+NONE = Looks(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def painted(monkeypatch, subject, seed, **shares):
-    """Returns the colours of a person of whom `shares` alone are not 0."""
-    for name in SHARES:
-        monkeypatch.setattr(completion_people, name, shares.get(name, 0.0))
-    return vertex_colours(subject, np.random.default_rng(seed))
-
-
-def plain(number):
-    return replace(make_subject(number), pattern="plain")
+def painted(subject, seed, looks):
+    return vertex_colours(subject, np.random.default_rng(seed), looks)
 
 
 @pytest.mark.parametrize(("behind", "sign"), [(0.0, 1.0), (1.0, -1.0)])
-@pytest.mark.parametrize("shares", [{"MARKED": 1.0}, {"MARKED": 1.0, "NO_TOP": 1.0}])
-def test_marks_are_on_one_side_of_the_trunk(monkeypatch, behind, sign, shares):
+@pytest.mark.parametrize("no_top", [0.0, 1.0])
+def test_marks_are_on_one_side_of_the_trunk(behind, sign, no_top):
     places, sizes = load_model_body().template, []
+    plain = replace(NONE, no_top=no_top, marked_behind=behind)
     for seed in range(12):
         subject = mixed_subject(np.random.default_rng(seed))
-        with_marks = painted(monkeypatch, subject, seed, MARKED_BEHIND=behind, **shares)
-        without = painted(monkeypatch, subject, seed, **{**shares, "MARKED": 0.0})
+        with_marks, without = (
+            painted(subject, seed, replace(plain, marked=1.0)),
+            painted(subject, seed, plain),
+        )
         marked = places[np.abs(with_marks - without).max(axis=1) > 0.02]
         assert (sign * marked[:, 2] > -0.02).all() and (np.abs(marked[:, 0]) < ARM_STARTS + 0.02).all(), seed
         sizes.append(len(marked))
     assert np.median(sizes) > 20, sizes
 
 
-def test_a_bare_trunk_is_of_skin_and_hairy_in_front_alone(monkeypatch):
+def test_a_bare_trunk_is_of_skin_and_hairy_in_front_alone():
     places = load_model_body().template
-    trunk = (np.abs(places[:, 0]) < 0.12) & (places[:, 1] > 0.1) & (places[:, 1] < 0.35)  # below long hair
+    # below long hair
+    trunk = (np.abs(places[:, 0]) < 0.12) & (places[:, 1] > 0.1) & (places[:, 1] < 0.35)
     for number in (2, 10, 24):
-        subject = plain(number)
-        bare, hairy = (painted(monkeypatch, subject, 3, NO_TOP=1.0, HAIRY=share) for share in (0.0, 1.0))
+        subject = replace(make_subject(number), pattern="plain")
+        bare, hairy = (painted(subject, 3, replace(NONE, no_top=1.0, hairy=share)) for share in (0.0, 1.0))
         back = trunk & (places[:, 2] < -0.03)
         away = np.abs(bare[back] - subject.skin).mean()
         assert away < 0.08 < np.abs(vertex_colours(subject, None)[back] - subject.skin).mean(), number
@@ -60,31 +53,36 @@ def test_a_bare_trunk_is_of_skin_and_hairy_in_front_alone(monkeypatch):
         assert np.abs(hairy - bare).max() > 0.1
 
 
-def copied(found, plain_colors, marked):
-    """Returns what is found on the back of the contrast of what is in front of it, and that contrast, squared."""
-    model = load_model_body()
-    places, normals = model.template, vertex_normals(model.template, model.faces)
-    trunk = (np.abs(places[:, 0]) < 0.17) & (places[:, 1] > 0.06) & (places[:, 1] < 0.45)
-    front, back = (np.flatnonzero(trunk & (sign * normals[:, 2] > 0.3)) for sign in (1.0, -1.0))
-    opposite = front[KDTree(places[front, :2]).query(places[back, :2])[1]]
-    contrast = (marked - plain_colors)[opposite]
-    return (contrast * (found - plain_colors)[back]).sum(), np.square(contrast).sum()
+def test_what_is_in_front_alone_is_hardly_copied_to_the_back():
+    """People it has not learned from; weights that knew of no such marks copied 0.40 of prints, these 0.16.
 
-
-@pytest.mark.parametrize("shares", [{"MARKED": 1.0}, {"NO_TOP": 1.0, "HAIRY": 1.0}], ids=["print", "hair"])
-def test_what_is_in_front_alone_is_not_copied_to_the_back(monkeypatch, shares):
-    """People it has not learned from, seen from before; of all their marks' contrast, 0 none and 1 all.
-
-    Weights that knew of no such marks copied 0.41 of prints and 0.49 of hair.
+    Behind a hairy chest those were 1.3 dB worse than colours that are seen nearby, these are 3.7 dB better.
     """
-    completer, found_of = ColorCompleter(embedded_body(), CompletionSettings()), []
-    for number in VALIDATION:
-        subject = plain(number)
-        marked = painted(monkeypatch, subject, number, **shares)
-        without = painted(monkeypatch, subject, number, **{**shares, "MARKED": 0.0, "HAIRY": 0.0})
-        shown = watched(marked, subject.betas, np.random.default_rng(number), facing=0.0)
-        found = completer.complete(shown.colors.float(), shown.seen.float()).colors
-        assert torch.isfinite(found).all()
-        found_of.append(copied(found.double().numpy(), without, marked))
-    copies, contrasts = np.sum(found_of, axis=0)
-    assert copies / contrasts < 0.25, (copies / contrasts, found_of)
+    completer = ColorCompleter(embedded_body(), CompletionSettings())
+    examples = {marks: list(marked_examples(marks, 12, seed=2)) for marks in MARKS}
+    found, nearby = (
+        {marks: [colours(each).double().numpy() for each in people] for marks, people in examples.items()}
+        for colours in (
+            lambda each: completer.complete(each.shown.colors, each.shown.seen).colors,
+            lambda each: each.shown.colors,
+        )
+    )
+    assert copied_share(found["print"], examples["print"]) < 0.28
+    hair = examples["hair"]
+    assert back_psnr(found["hair"], hair) > back_psnr(nearby["hair"], hair) + 1.0
+
+
+@pytest.mark.parametrize("marks", MARKS)
+def test_the_share_that_is_copied_of_known_backs(marks):
+    """None of the truth's, and of a person's who is put together from the front alone all."""
+    examples = list(marked_examples(marks, 4))
+    assert examples
+    assert copied_share([example.truth for example in examples], examples) == pytest.approx(0.0, abs=0.02)
+    assert back_psnr([example.truth + 0.1 for example in examples], examples) == pytest.approx(20.0)
+    places = load_model_body().template
+    flat = places * [1.0, 1.0, 0.0]
+    front = np.flatnonzero(places[:, 2] > 0.0)
+    nearest = front[[int(((flat[front] - place) ** 2).sum(axis=1).argmin()) for place in flat]]
+    for share in (0.5, 1.0):
+        copies = [each.plain + share * (each.truth - each.plain)[nearest] for each in examples]
+        assert copied_share(copies, examples) == pytest.approx(share, rel=0.15)

@@ -6,7 +6,7 @@ embedded subject has, some bear marks on one side alone, and some wear no top.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -25,18 +25,27 @@ VALIDATION = range(90, 100)
 """Subjects that are measured on, as they are; the others are what people are put together from."""
 OUTWARDS = 0.03
 """Metres from the skin from where the nearest cloth or hair is what a camera sees."""
-OTHER_PATTERN = 0.4
-"""Share of people whose top has a pattern of no embedded subject."""
-NO_TOP = 0.15
-"""Share of people who wear no top."""
-MARKED = 0.4
-"""Share of tops with marks on one side of the trunk alone, and of bare trunks with a tattoo."""
-HAIRY = 0.6
-"""Share of bare trunks with hair on chest and belly, which no back has."""
-MARKED_BEHIND = 0.25
-"""Share of marks that are on the back."""
 CHIN = 0.54
 """Height of the throat on the template, metres."""
+
+
+@dataclass(frozen=True)
+class Looks:
+    """How many people look otherwise than embedded subjects, as shares.
+
+    Attributes:
+        other_pattern: of tops, with a pattern of no embedded subject.
+        no_top: of people, without one.
+        marked: of people, with marks on one side of the trunk alone: printed on the top, or tattooed.
+        marked_behind: of marks, on the back.
+        hairy: of bare trunks, with hair on chest and belly, which no back has.
+    """
+
+    other_pattern: float = 0.4
+    no_top: float = 0.15
+    marked: float = 0.4
+    marked_behind: float = 0.25
+    hairy: float = 0.6
 
 
 def mixed_subject(rng: np.random.Generator) -> Subject:
@@ -63,26 +72,28 @@ def mixed_subject(rng: np.random.Generator) -> Subject:
     return mixed
 
 
-def vertex_colours(subject: Subject, rng: np.random.Generator | None) -> Floats:
+def vertex_colours(subject: Subject, rng: np.random.Generator | None, looks: Looks | None = None) -> Floats:
     """Returns what cameras see at each vertex of the body, `[V, 3]`, 0..1: skin, cloth or the hair above it.
 
     Args:
         subject: the person.
         rng: decides on other patterns, on marks, and whether there is a top; None: the person as it is.
+        looks: how likely these are; None: as in the training.
     """
+    looks = looks or Looks()
     figure, model = dress(subject), load_model_body()
     points, on_body = figure.template, figure.group == SKIN
-    bare = rng is not None and rng.uniform() < NO_TOP
+    bare = rng is not None and rng.uniform() < looks.no_top
     worn = replace(subject, top_hem=np.inf) if bare else subject
     colours = paint_places(worn, points, figure.group)
     if rng is not None:
         upper = regions.top(points, subject, EDGE) * on_body
         if bare:
-            colours[on_body] = _bare_trunk(colours[on_body], points[on_body], subject, rng)
-        elif rng.uniform() < OTHER_PATTERN:
+            colours[on_body] = _bare_trunk(colours[on_body], points[on_body], subject, looks, rng)
+        elif rng.uniform() < looks.other_pattern:
             colours += upper[:, None] * (_other_pattern(points, subject, rng) - colours)
-        if rng.uniform() < MARKED:
-            colours = _marked(colours, points, upper, rng)
+        if rng.uniform() < looks.marked:
+            colours = _marked(colours, points, upper, looks, rng)
     rest = model.template + model.shapedirs @ subject.betas
     outside = rest + OUTWARDS * vertex_normals(rest, model.faces)
     _, index = KDTree(figure.rest).query(outside)
@@ -115,17 +126,18 @@ def _one_side(points: Floats, behind: bool) -> Floats:
     return step(depth, 0.02, 0.03) * (1.0 - step(np.abs(points[:, 0]), regions.ARM_STARTS - 0.02, 0.02))
 
 
-def _marked(colours: Floats, points: Floats, where: Floats, rng: np.random.Generator) -> Floats:
+def _marked(colours: Floats, points: Floats, where: Floats, looks: Looks, rng: np.random.Generator) -> Floats:
     """Returns colours with marks on the front or the back: shapes, lines of writing, a picture, an open jacket.
 
     Args:
         colours: of the person, `[N, 3]`.
         points: places on the template, `[N, 3]`, metres.
         where: they are, `[N]`, 0..1.
+        looks: how likely they are on the back.
         rng: source of all choices.
     """
     across, along = points[:, 0], points[:, 1]
-    behind = bool(rng.uniform() < MARKED_BEHIND)
+    behind = bool(rng.uniform() < looks.marked_behind)
     side = where * _one_side(points, behind)
     kind = rng.integers(4)
     for _ in range(int(rng.integers(1, 6)) if kind == 0 else 1):
@@ -157,13 +169,16 @@ def _marked(colours: Floats, points: Floats, where: Floats, rng: np.random.Gener
     return colours
 
 
-def _bare_trunk(colours: Floats, points: Floats, subject: Subject, rng: np.random.Generator) -> Floats:
+def _bare_trunk(
+    colours: Floats, points: Floats, subject: Subject, looks: Looks, rng: np.random.Generator
+) -> Floats:
     """Returns the skin of who wears no top: nipples, a navel, soft shades and, of most, hair in front; tanned limbs.
 
     Args:
         colours: of the skin, `[N, 3]`.
         points: places on the template, `[N, 3]`, metres.
         subject: whose hair has the colour of that on the head, or darker.
+        looks: how likely hair is.
         rng: source of all choices.
     """
     across, along, front = points[:, 0], points[:, 1], step(points[:, 2], 0.02, 0.03)
@@ -176,7 +191,7 @@ def _bare_trunk(colours: Floats, points: Floats, subject: Subject, rng: np.rando
     limbs = step(np.abs(across), regions.ARM_STARTS, 0.04) + (1.0 - step(along, regions.WAIST, 0.004))
     light *= 1.0 - rng.uniform(0.0, 0.35) * limbs * (0.7 + 0.3 * soft)
     colours = colours * light[:, None]
-    if rng.uniform() < HAIRY:
+    if rng.uniform() < looks.hairy:
         chest, high, wide = rng.uniform(0.29, 0.4), rng.uniform(0.05, 0.13), rng.uniform(0.07, 0.25)
         patch = np.exp(-(((along - chest) / high) ** 4) - (across / wide) ** 4)
         line = np.exp(-((across / rng.uniform(0.015, 0.06)) ** 2)) * rng.uniform(0.0, 1.0) * (along < chest)
