@@ -10,12 +10,10 @@ import pytest
 from occfusion.human.body import embedded_body
 from occfusion.inpaint.completion import ColorCompleter, CompletionSettings
 from occfusion.prior_training.completion_copies import MARKS, back_psnr, copied_share, marked_examples
-from occfusion.prior_training.completion_people import Looks, mixed_subject, vertex_colours
+from occfusion.prior_training.completion_people import UNCHANGED, mixed_subject, vertex_colours
 from occfusion.synth.fullbody import load_model_body
 from occfusion.synth.regions import ARM_STARTS
 from occfusion.synth.subject import make_subject
-
-NONE = Looks(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def painted(subject, seed, looks):
@@ -26,7 +24,7 @@ def painted(subject, seed, looks):
 @pytest.mark.parametrize("no_top", [0.0, 1.0])
 def test_marks_are_on_one_side_of_the_trunk(behind, sign, no_top):
     places, sizes = load_model_body().template, []
-    plain = replace(NONE, no_top=no_top, marked_behind=behind)
+    plain = replace(UNCHANGED, no_top=no_top, marked_behind=behind)
     for seed in range(12):
         subject = mixed_subject(np.random.default_rng(seed))
         with_marks, without = (
@@ -45,7 +43,9 @@ def test_a_bare_trunk_is_of_skin_and_hairy_in_front_alone():
     trunk = (np.abs(places[:, 0]) < 0.12) & (places[:, 1] > 0.1) & (places[:, 1] < 0.35)
     for number in (2, 10, 24):
         subject = replace(make_subject(number), pattern="plain")
-        bare, hairy = (painted(subject, 3, replace(NONE, no_top=1.0, hairy=share)) for share in (0.0, 1.0))
+        bare, hairy = (
+            painted(subject, 3, replace(UNCHANGED, no_top=1.0, hairy=share)) for share in (0.0, 1.0)
+        )
         back = trunk & (places[:, 2] < -0.03)
         away = np.abs(bare[back] - subject.skin).mean()
         assert away < 0.08 < np.abs(vertex_colours(subject, None)[back] - subject.skin).mean(), number

@@ -13,19 +13,19 @@ from scipy.spatial import KDTree
 from occfusion.geometry.normals import vertex_normals
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.prior_training.completion_examples import watched
-from occfusion.prior_training.completion_people import VALIDATION, Looks, vertex_colours
+from occfusion.prior_training.completion_people import UNCHANGED, VALIDATION, vertex_colours
 from occfusion.synth.fullbody import load_model_body
 from occfusion.synth.rotations import Floats
 from occfusion.synth.subject import make_subject
 
-MARKS = {"print": Looks(0.0, 0.0, 1.0, 0.0, 0.0), "hair": Looks(0.0, 1.0, 0.0, 0.0, 1.0)}
+MARKS = {"print": replace(UNCHANGED, marked=1.0), "hair": replace(UNCHANGED, no_top=1.0, hairy=1.0)}
 """People who have them all: in a plain top, and without one."""
 SIDE, LOW, HIGH = 0.17, 0.06, 0.45
 """Metres from the middle, and heights on the template, of the trunk's front and back."""
 FACING = 0.3
 """Cosine of a normal and the direction to the front, or the back, from which on a place belongs to it."""
 LEAST_CONTRAST = 1.0
-"""Squared and summed over the back's vertices: less of a mark is hardly seen."""
+"""Squared and summed over the back's vertices: a mark of less contrast hardly shows."""
 
 
 @dataclass(frozen=True)
@@ -61,14 +61,13 @@ def marked_examples(marks: str, count: int, seed: int = 0) -> Iterator[MarkedExa
         count: of people, left out ones among them.
         seed: of all choices.
     """
-    looks = MARKS[marks]
+    looks, (_, front) = MARKS[marks], _opposite()
     for number in range(count):
         subject = replace(make_subject(VALIDATION[number % len(VALIDATION)]), pattern="plain")
         truth, plain = (
             vertex_colours(subject, np.random.default_rng([seed, number]), each)
             for each in (looks, replace(looks, marked=0.0, hairy=0.0))
         )
-        _, front = _opposite()
         if np.square((truth - plain)[front]).sum() >= LEAST_CONTRAST:
             shown = watched(truth, subject.betas, np.random.default_rng([seed, number, 1]), facing=0.0)
             yield MarkedExample(truth, plain, shown)

@@ -48,10 +48,14 @@ class Looks:
     hairy: float = 0.6
 
 
+TRAINED_ON = Looks()
+UNCHANGED = Looks(other_pattern=0.0, no_top=0.0, marked=0.0, marked_behind=0.0, hairy=0.0)
+
+
 def mixed_subject(rng: np.random.Generator) -> Subject:
     """Returns a person with the body, hair, top and bottom of four subjects, and some colours of its own."""
     body, hair, top, bottom = (make_subject(int(k)) for k in rng.integers(VALIDATION.start, size=4))
-    mixed = replace(
+    return replace(
         body,
         hair=hair.hair,
         hair_style=hair.hair_style,
@@ -69,18 +73,18 @@ def mixed_subject(rng: np.random.Generator) -> Subject:
         has_belt=bottom.has_belt,
         shoe_colour=top.shoe_colour,
     )
-    return mixed
 
 
-def vertex_colours(subject: Subject, rng: np.random.Generator | None, looks: Looks | None = None) -> Floats:
+def vertex_colours(subject: Subject, rng: np.random.Generator | None, looks: Looks = TRAINED_ON) -> Floats:
     """Returns what cameras see at each vertex of the body, `[V, 3]`, 0..1: skin, cloth or the hair above it.
+
+    What is hairy or marked is drawn last: with the same random numbers it is the same person without it.
 
     Args:
         subject: the person.
         rng: decides on other patterns, on marks, and whether there is a top; None: the person as it is.
-        looks: how likely these are; None: as in the training.
+        looks: how likely these are.
     """
-    looks = looks or Looks()
     figure, model = dress(subject), load_model_body()
     points, on_body = figure.template, figure.group == SKIN
     bare = rng is not None and rng.uniform() < looks.no_top
@@ -120,10 +124,14 @@ def _other_pattern(points: Floats, subject: Subject, rng: np.random.Generator) -
     return np.asarray(first + share[:, None] * (second - first))
 
 
+def _half(points: Floats, behind: bool = False) -> Floats:
+    """Returns 1 on the front half of the body, or on the back half, 0 on the other one, `[N]`."""
+    return step(-points[:, 2] if behind else points[:, 2], 0.02, 0.03)
+
+
 def _one_side(points: Floats, behind: bool) -> Floats:
     """Returns 1 on the front of the trunk, or on its back, 0 on the other side and on the arms, `[N]`."""
-    depth = -points[:, 2] if behind else points[:, 2]
-    return step(depth, 0.02, 0.03) * (1.0 - step(np.abs(points[:, 0]), regions.ARM_STARTS - 0.02, 0.02))
+    return _half(points, behind) * (1.0 - step(np.abs(points[:, 0]), regions.ARM_STARTS - 0.02, 0.02))
 
 
 def _marked(colours: Floats, points: Floats, where: Floats, looks: Looks, rng: np.random.Generator) -> Floats:
@@ -172,16 +180,16 @@ def _marked(colours: Floats, points: Floats, where: Floats, looks: Looks, rng: n
 def _bare_trunk(
     colours: Floats, points: Floats, subject: Subject, looks: Looks, rng: np.random.Generator
 ) -> Floats:
-    """Returns the skin of who wears no top: nipples, a navel, soft shades and, of most, hair in front; tanned limbs.
+    """Returns who wears no top: nipples, a navel, soft shades and, of most, hair in front; limbs are darker.
 
     Args:
-        colours: of the skin, `[N, 3]`.
+        colours: of skin and of what is worn below the waist, `[N, 3]`.
         points: places on the template, `[N, 3]`, metres.
         subject: whose hair has the colour of that on the head, or darker.
         looks: how likely hair is.
         rng: source of all choices.
     """
-    across, along, front = points[:, 0], points[:, 1], step(points[:, 2], 0.02, 0.03)
+    across, along, front = points[:, 0], points[:, 1], _half(points)
     soft = np.clip(0.5 + value_noise(points, 0.09, int(rng.integers(1000)), 2), 0.0, 1.0)
     nipples = np.hypot(np.abs(across) - rng.uniform(0.08, 0.11), along - rng.uniform(0.26, 0.32))
     navel = np.hypot(across, along - rng.uniform(0.06, 0.1))
