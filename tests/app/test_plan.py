@@ -21,7 +21,7 @@ from occfusion.plan.decisions import box_reason
 from occfusion.plan.hidden import with_everything
 from occfusion.settings.schema import Settings, optim_hash
 
-SUMMARY = {"occluded_frames": 0, "frames": 12}
+SUMMARY = {"occluded_frames": 0, "frames": 12, "frames_unseen": 0}
 
 
 def frames(*shares: float) -> list[ObservedFrame]:

@@ -45,6 +45,10 @@ class HumanDataModule(L.LightningDataModule):
 
     A reader for a new layout gives `open_scene`; everything else is here. Nothing is read before `setup`,
     and then only the files of the selected frames and cameras.
+
+    Attributes:
+        most_seen: frames that training steps see at most; of more so many are taken, evenly spread. Set before
+            `setup`; None: all are.
     """
 
     def __init__(
@@ -62,6 +66,7 @@ class HumanDataModule(L.LightningDataModule):
         self.image_size = image_size
         self.occlusion = OcclusionSettings.parse(occlusion)
         self.seed = seed
+        self.most_seen: int | None = None
         self.poser = Poser(body)
         self.findings: list[str] = []
         self._selection = selection
@@ -127,7 +132,7 @@ class HumanDataModule(L.LightningDataModule):
     def _open(self) -> tuple[Prepared, Views, StepSampler]:
         if self._opened is None:
             scene = self.open_scene()
-            prepared = prepare(scene, self._selection, self.occlusion)
+            prepared = prepare(scene, self._selection, self.occlusion, self.most_seen)
             if self.image_size is None:
                 self.image_size = min(max(self.own_image_size(scene), MIN_SIZE), MAX_SIZE)
             views = Views(prepared, self.image_size, CACHE_BYTES)
@@ -148,13 +153,19 @@ class HumanDataModule(L.LightningDataModule):
         taken, count = prepared.scene.taken, len(prepared.train) + len(prepared.left_out)
         if count == prepared.offered:
             return taken
-        thinned = f"{count} of {prepared.offered} training frames, evenly spread (dataset.max_train_frames)"
+        why = "steps see no more" if count < len(prepared.sequence) else "dataset.max_train_frames"
+        thinned = f"{count} of {prepared.offered} training frames, evenly spread ({why})"
         return replace(taken, pictures=f"{taken.pictures}; {thinned}")
 
     @property
     def train_indices(self) -> tuple[int, ...]:
         """Training frames, without those that show no person."""
         return self._open()[0].train
+
+    @property
+    def sequence(self) -> tuple[int, ...]:
+        """The frames that were asked for, with those that no step sees."""
+        return self._open()[0].sequence
 
     @property
     def test_indices(self) -> tuple[int, ...]:
@@ -317,6 +328,7 @@ class HumanDataModule(L.LightningDataModule):
             "taken": asdict(self.taken),
             "frames": len(prepared.train),
             "frames_left_out": list(prepared.left_out),
+            "frames_unseen": len(prepared.sequence) - len(prepared.train) - len(prepared.left_out),
             "cameras": len(prepared.scene.cameras),
             "train_camera": prepared.scene.cameras[prepared.camera],
             "test_images": len(prepared.test_views),

@@ -127,6 +127,7 @@ class Prepared:
         hidden: the simulated occlusion of each, in pixels of the stored picture.
         left_out: training frames whose mask is empty.
         offered: how many training frames were asked for, before `max_train_frames` took some of them.
+        sequence: those that it took, of which steps may see only some.
         test: held-out frames.
         camera: the camera trained on.
         cameras: held-out cameras.
@@ -138,6 +139,7 @@ class Prepared:
     hidden: tuple[Hidden | None, ...]
     left_out: tuple[int, ...]
     offered: int
+    sequence: tuple[int, ...]
     test: tuple[int, ...]
     camera: int
     cameras: tuple[int, ...]
@@ -168,8 +170,16 @@ class Prepared:
         return [p.visible_share(box) for p, box in zip(self.people, self.hidden, strict=True)]
 
 
-def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) -> Prepared:
+def prepare(
+    scene: Scene, selection: Selection, occlusion: OcclusionSettings, most_seen: int | None = None
+) -> Prepared:
     """Returns what the selection means for this scene; reads the masks of the training frames.
+
+    Args:
+        scene: the reader.
+        selection: what the user asks for.
+        occlusion: what is simulated.
+        most_seen: of more training frames so many are taken, evenly spread; steps see no others. None: all.
 
     Raises:
         ConfigError: a frame range or camera that the scene has not.
@@ -178,8 +188,8 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
     camera = selection.train_camera
     cameras = held_out_cameras(selection.test_cameras, camera, len(scene.cameras))
     offered = train_range(selection.train_frames, scene.num_frames)
-    most = len(offered) if selection.max_train_frames is None else selection.max_train_frames
-    wanted = tuple(offered[k] for k in spread(len(offered), most))
+    sequence = _thinned(offered, selection.max_train_frames)
+    wanted = _thinned(sequence, most_seen)
     held_out = held_out_range(selection.test_frames, scene.num_frames)
     if selection.test_frames is None:
         held_out = _shown(scene, cameras, held_out, wanted)
@@ -198,6 +208,7 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
         hidden=plan(occlusion, [person.whole for person in people], scene.name, train),
         left_out=tuple(frame for frame in wanted if frame not in set(train)),
         offered=len(offered),
+        sequence=sequence,
         test=held_out,
         camera=camera,
         cameras=cameras,
@@ -208,6 +219,10 @@ def prepare(scene: Scene, selection: Selection, occlusion: OcclusionSettings) ->
             "learn from. Make dataset.occlusion narrower."
         )
     return result
+
+
+def _thinned(frames: tuple[int, ...], most: int | None) -> tuple[int, ...]:
+    return frames if most is None else tuple(frames[k] for k in spread(len(frames), most))
 
 
 def _check_sizes(scene: Scene, frames: Sequence[int], camera: int, people: Sequence[survey.Person]) -> None:

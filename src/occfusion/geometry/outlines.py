@@ -25,6 +25,9 @@ SAME_DIRECTION = 0.7
 """Cosine: edges that run another way than the outline are somebody else's, an occluder's for example."""
 MOST_ROWS = 30_000
 """OpenCV resamples no more than 32766 rows at a time."""
+PLASTIC = 1.32471795724474602596
+"""Root of x^3 = x + 1: multiples of its inverse and of that one's square spread over a plane as evenly as can be, along
+any line of pixels (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018)."""
 NEAR_ITS_PIXEL = 2.0
 """Pixels within which the first outline must be found again; it is not on parts that the blur wipes out."""
 
@@ -45,7 +48,9 @@ class OutlineOffsets(NamedTuple):
     pixels: NDArray[np.int64]
 
 
-def outline_offsets(coverage: NDArray[np.floating], seen: NDArray[np.bool_], reach: float) -> OutlineOffsets:
+def outline_offsets(
+    coverage: NDArray[np.floating], seen: NDArray[np.bool_], reach: float, most: int | None = None
+) -> OutlineOffsets:
     """Returns where the outline of `seen` lies beside that of `coverage`.
 
     Points without an edge of the same direction within `reach` are left out: what is hidden, or differs.
@@ -54,10 +59,15 @@ def outline_offsets(coverage: NDArray[np.floating], seen: NDArray[np.bool_], rea
         coverage: share of each pixel that the first mask covers, `[H, W]`, 0..1.
         seen: the second mask, `[H, W]`.
         reach: farthest offset that is looked for, pixels.
+        most: points of an outline that are looked at, about; of a longer one some, evenly spread. None: all.
     """
     inside = (coverage > 0.5).astype(np.uint8)
     core = cv2.erode(inside, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
     rows, columns = np.nonzero(inside > np.asarray(core))
+    if most is not None and len(rows) > most:
+        spread = (rows / PLASTIC + columns / PLASTIC**2) % 1.0
+        chosen = spread < most / len(rows)
+        rows, columns = rows[chosen], columns[chosen]
     if not len(rows):
         nothing = np.zeros((0, 2))
         return OutlineOffsets(nothing, nothing, np.zeros(0), nothing.astype(np.int64))

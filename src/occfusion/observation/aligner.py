@@ -8,7 +8,7 @@ the others do. That takes a curvature: Gauss-Newton over the whole sequence, loo
 got to.
 
 Clothes, hair and a wrong shape stand off the body as well. They do so with the body, in all frames alike: what each
-of 300 places stands off, and the shape, are unknowns too, and so are a shift and a scale of the pictures. What is
+of 150 places stands off, and the shape, are unknowns too, and so are a shift and a scale of the pictures. What is
 misfit of them is not taken for misfit of poses.
 """
 
@@ -40,7 +40,8 @@ from occfusion.observation.pose_witness import (
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-PATCHES = 300
+PATCHES = 150
+"""Places of the body: twice as many cost half as much again, and joints come no nearer."""
 CARRIED = {"head": "trunk", "feet": "knees", "hands": "elbows"}
 """Ends of the body, each off by no more than what carries it: hair, shoes and fingers change their outlines most, and a
 turned head explains hair."""
@@ -163,8 +164,12 @@ class Aligner:
         )
 
     def settle(self) -> bool:
-        """Finds the knots, where other frames told what is alike; returns whether outlines tell enough."""
-        return all(self._step(range(len(self._looks)), REACH, True) for _ in range(SETTLING))
+        """Finds the knots, where other frames told what is alike; returns whether outlines tell enough.
+
+        Spreads are near what they will be: they are asked for with the last look alone.
+        """
+        everyone = range(len(self._looks))
+        return all(self._step(everyone, REACH, True, spreads=k == SETTLING - 1) for k in range(SETTLING))
 
     @property
     def common(self) -> Common:
@@ -221,7 +226,13 @@ class Aligner:
         reach: float,
         registered: bool,
         kept: NDArray[np.bool_] | None = None,
+        *,
+        spreads: bool = True,
     ) -> bool:
+        """Looks for outlines and solves for what they say; returns whether they tell enough.
+
+        Without `spreads` these, and how far values are told, stay as they are.
+        """
         seen = self.observe(positions, reach, kept)
         if len(seen) < min(LEAST_FRAMES, len(positions)):
             return False
@@ -231,14 +242,20 @@ class Aligner:
         if not self.before:
             self.before = 1.4826 * float(np.median(np.abs(system.offsets)))
         self._weigh(system)
+        if not spreads:
+            self._take(system.solve(self._precision(system)))
+            return True
         solution, variance = self._find_spreads(system)
         few = slice(self._count, self._count + 3)
         as_place = self.spreads[-1] * system.per_metre * np.array([1.0, 1.0, 1.0 / system.focal])
         self._picture = solution[few], np.sqrt(variance[few] + as_place**2)
-        self.values = solution[: self._count].reshape(self._knots, POSE_COLUMNS)
+        self._take(solution)
         self._alike = solution[self._count :], variance[self._count :]
         self._variance, self.noise = variance[: self._count], system.noise
         return True
+
+    def _take(self, solution: Floats) -> None:
+        self.values = solution[: self._count].reshape(self._knots, POSE_COLUMNS)
 
     def observe(
         self, positions: Sequence[int], reach: float, kept: NDArray[np.bool_] | None = None

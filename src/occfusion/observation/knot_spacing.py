@@ -13,8 +13,8 @@ from occfusion.observation.pose_witness import REACH, Look
 WINDOW = 50
 """Frames in a row that are asked: enough to tell, and their cost is bounded."""
 FULL_KNOTS, WIDEST, MOST_KNOTS = 120, 8, 500
-"""Knots from which on they lie farther apart, up to so many frames; knots from which on farther still. What an
-estimator gets wrong changes within some frames: with 17 from knot to knot next to nothing of it was found."""
+"""Knots from which on they lie farther apart, up to so many frames of the video; knots from which on farther still.
+What an estimator gets wrong changes within some frames: with 17 from knot to knot next to nothing of it was found."""
 
 
 def window(count: int) -> range:
@@ -53,13 +53,15 @@ def likely_spacing(looks: Sequence[Look], body: Body, most: int, *, registered: 
     return max(asked, key=lambda every: evidence[every])
 
 
-def frames_a_knot(count: int, found: int, most: int) -> int:
+def frames_a_knot(count: int, found: int, most: int, stride: float = 1.0) -> int:
     """Returns how many of so many frames lie between knots.
 
     Args:
         count: of the training frames.
         found: how many outlines make most likely.
         most: how many were asked at most; where they are likely, long sequences have more.
+        stride: frames of the video from one training frame to the next.
     """
+    widest = max(1, round(WIDEST / stride))
     least = math.ceil(count / MOST_KNOTS)
-    return max(found, least) if found < most else max(most, min(WIDEST, math.ceil(count / FULL_KNOTS)), least)
+    return max(found, least) if found < most else max(most, min(widest, math.ceil(count / FULL_KNOTS)), least)

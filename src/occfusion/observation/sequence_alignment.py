@@ -22,7 +22,7 @@ from occfusion.observation.pose_witness import Look
 
 ONE_SYSTEM = 240
 """Frames that are looked at, and a sequence with more is aligned piece by piece."""
-PILOT, BLOCK = 96, 8
+PILOT, BLOCK = 64, 8
 """Looks of the parts that tell what is alike, and of one of them."""
 PIECE, OVERLAP = 64, 4
 """Knots of a piece, and those beyond either end that are found with it and not taken."""
@@ -42,7 +42,7 @@ def align_sequence(
     """
     count = len(frames)
     found = likely_spacing([look_at(k) for k in window(count)], body, most, registered=registered)
-    every = frames_a_knot(count, found, most)
+    every = frames_a_knot(count, found, most, (frames[-1] - frames[0]) / max(1, count - 1))
     positions, spline = positions_looked_at(count, every), PoseSpline.over(frames, every)
     if len(positions) <= ONE_SYSTEM:
         return align_poses([look_at(k) for k in positions], body, spline, registered=registered)

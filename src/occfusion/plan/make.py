@@ -45,7 +45,7 @@ from occfusion.plan.hidden import (
     stage_decisions,
     weighed_for_few,
 )
-from occfusion.settings.schema import Settings, stages_to_run
+from occfusion.settings.schema import Settings, stages_to_run, steps_of
 from occfusion.settings.stages import AvatarSettings, HiddenSettings, SurfaceSettings
 
 
@@ -116,7 +116,7 @@ def make_plan(
 
     Args:
         settings: as the user asked.
-        summary: the DataModule's summary; uses `occluded_frames` and `frames`.
+        summary: the DataModule's summary; uses `occluded_frames`, `frames` and `frames_unseen`.
         backend: the rasteriser backend that runs.
         observed_frames: what masks and poses say of the training frames; None where nothing depends on it.
         light: what the training frames tell of lamp and exposure; None where nothing depends on it.
@@ -167,6 +167,9 @@ def make_plan(
     ]
     share = f"{summary['occluded_frames']} of {summary['frames']} training frames are occluded"
     plan.append(Decision("occlusion handling", optim.pixels == "visible", share))
+    if unseen := summary["frames_unseen"]:
+        reason = f"{unseen} of {unseen + summary['frames']}; steps see {summary['frames']}, evenly spread"
+        plan.append(Decision("frames that no step sees", False, reason))
     plan += _weight_decisions("optim", optim, ("rgb", "mask", "ssim"))
     plan.append(hidden_mask_decision("optim", settings, hidden[0], observed_frames, alignment))
     plan += [perceptual, *_perceptual_schedule("optim", optim, perceptual)]
@@ -256,11 +259,6 @@ def refined_sh_degree(settings: Settings) -> int:
     refine = settings.refine
     steps = steps_of(settings, settings.optim) + steps_of(settings, refine)
     return max(reached_sh_degree(settings), min(refine.sh_degree, (steps - 1) // refine.sh_every))
-
-
-def steps_of(settings: Settings, stage: AvatarSettings) -> int:
-    """Returns the steps that a stage takes."""
-    return stage.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
 
 
 def _weight_decisions(stage: str, settings: AvatarSettings, terms: tuple[str, ...]) -> list[Decision]:

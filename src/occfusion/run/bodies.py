@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from occfusion.errors import ConfigError
 from occfusion.human import Body, embedded_body, load_body
 from occfusion.human.body import without_pose_blend_shapes
-from occfusion.settings.schema import BodySettings, Settings
+from occfusion.settings.schema import BodySettings, Settings, most_seen
 
 if TYPE_CHECKING:
     from occfusion.data.module import HumanDataModule
@@ -56,4 +56,5 @@ def make_data(settings: Settings, body: Body) -> HumanDataModule:
     made: HumanDataModule = getattr(importlib.import_module(module), reader)(
         body=body, seed=settings.seed, **options
     )
+    made.most_seen = most_seen(settings)
     return made

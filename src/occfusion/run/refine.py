@@ -15,9 +15,9 @@ from occfusion.human import Avatar, load_avatar
 from occfusion.inpaint.accumulation import Accumulated, learning_shares, paint_unseen
 from occfusion.inpaint.build_inpainter import make_inpainter
 from occfusion.inpaint.partial import CoarsePictures, Inpainter, TruthPictures
-from occfusion.plan.make import refined_sh_degree, steps_of
+from occfusion.plan.make import refined_sh_degree
 from occfusion.run.training import AvatarTraining, tell_damage, training_truths
-from occfusion.settings.schema import Settings
+from occfusion.settings.schema import Settings, steps_of
 from occfusion.stages.inpaint import InpaintStage
 from occfusion.stages.references import References
 from occfusion.stages.refine import RefineStage

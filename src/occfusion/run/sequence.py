@@ -34,8 +34,8 @@ def record_sequence(folder: RunFolder, data: HumanDataModule, settings: Settings
 
 
 def own_clip(data: HumanDataModule, settings: Settings) -> Clip:
-    """Returns the poses of the training and held-out frames, in order of time."""
-    frames = sorted({*data.train_indices, *data.test_indices})
+    """Returns the poses of the frames that were asked for and of held-out ones, in order of time."""
+    frames = sorted({*data.sequence, *data.test_indices})
     poses = [data.pose(frame) for frame in frames]
     orient = np.stack([pose.global_orient.double().numpy() for pose in poses])
     step = int(np.median(np.diff(frames))) if len(frames) > 1 else 1

@@ -24,6 +24,7 @@ from occfusion.settings.names import dotted, refuse_old_names
 from occfusion.settings.priors import PRIORS, EmbeddedPriorSettings, PriorSettings
 from occfusion.settings.stages import (
     MANY,
+    AvatarSettings,
     InitSettings,
     LoggerSettings,
     OptimSettings,
@@ -35,6 +36,8 @@ HELD_OUT_SETTINGS = ("test_cameras", "test_frames")
 """Of a data set: what is measured on, which changes nothing that training computes."""
 PRIOR_STAGE = "prior"
 """The stage that trains a prior; it has no data set and no avatar."""
+LEAST_SEEN = 300
+"""Training frames that are looked at however few the steps are: what is measured of a video looks at so many."""
 
 
 @dataclass
@@ -306,3 +309,18 @@ def stages_to_run(settings: Settings) -> list[str]:
     if asked == "all":
         return stages
     return stages[: stages.index(asked) + 1] if asked in stages else [asked]
+
+
+def steps_of(settings: Settings, stage: AvatarSettings) -> int:
+    """Returns the steps that a stage takes."""
+    return stage.steps if settings.trainer.max_steps is None else settings.trainer.max_steps
+
+
+def most_seen(settings: Settings) -> int | None:
+    """Returns how many training frames steps see at most; None where all are to be looked at.
+
+    Each step of the optimisation sees one, and each process has its own; later stages take of these.
+    """
+    if settings.plan == "full":
+        return None
+    return max(LEAST_SEEN, steps_of(settings, settings.optim) * settings.trainer.devices)
