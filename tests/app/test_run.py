@@ -16,6 +16,7 @@ from occfusion.compare.reading import find_runs
 from occfusion.errors import ConfigError
 from occfusion.files.images import read_mask
 from occfusion.run.loaded import load_run
+from occfusion.settings import schema
 from occfusion.stages.targets import Target
 from occfusion.types import Box, Frame
 
@@ -47,6 +48,21 @@ def test_fast_dev_run(train: Train, variant: str, stage: str) -> None:
     assert metrics["regions"]["full"]["psnr"] > 29
     assert metrics["regions"]["full"]["mask_iou"] > 0.9  # 0.945 to 0.955
     assert not (folder / "optim" / "last.ckpt").exists()
+
+
+def test_frames_that_no_step_sees_are_left_out_and_the_sequence_has_them(
+    train: Train, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two of ten; the plan says so, and the record of the motion has all."""
+    monkeypatch.setattr(schema, "LEAST_SEEN", 1)
+    folder, _ = train("variant=B", "optim.steps=2", "optim.key_light=false")
+    plan = json.loads((folder / "plan.json").read_text())
+    decided = {d["part"]: d for d in plan["decisions"]}["frames that no step sees"]
+    assert not decided["used"] and decided["reason"] == "8 of 10; steps see 2, evenly spread"
+    assert plan["scene"]["frames"] == 2 and len(plan["scene"]["visible_share"]) == 2
+    assert len(load_run(folder).clip.transl) == 10
+    whole, _ = train("variant=B", "optim.steps=2", "optim.key_light=false", "plan=full", folder="full")
+    assert json.loads((whole / "plan.json").read_text())["scene"]["frames"] == 10
 
 
 def test_a_trial_leaves_the_default_folder_to_the_whole_run(

@@ -220,6 +220,18 @@ def test_of_many_training_frames_some_are_taken_evenly(tiny):
     assert shares == [True, True, False]
 
 
+def test_frames_that_no_step_sees_are_not_looked_at(tiny):
+    every, some = module(tiny), module(tiny)
+    some.most_seen = 3
+    assert some.train_indices == (1, 3, 5) and some.sequence == every.train_indices == every.sequence
+    assert some.summary()["frames_unseen"] == 3 and every.summary()["frames_unseen"] == 0
+    assert "3 of 6 training frames, evenly spread (steps see no more)" in some.taken.pictures
+    few = module(tiny, max_train_frames=2)
+    few.most_seen = 3
+    assert few.summary() == module(tiny, max_train_frames=2).summary()
+    assert few.sequence == few.train_indices == (1, 4)
+
+
 class Probe(L.LightningModule):
     """Takes steps and remembers which frame each saw."""
 

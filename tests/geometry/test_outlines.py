@@ -106,3 +106,32 @@ def test_a_long_outline_is_sampled_in_pieces():
     found = outline_offsets(stripes, stripes > 0.5, 2.0)
     assert len(found.offsets) > 60_000
     assert np.abs(found.offsets).max() < 1e-3
+
+
+def strip(angle: float, size: int = 256) -> np.ndarray:
+    """A half plane through the middle, whose edge has this direction."""
+    y, x = np.mgrid[:size, :size] + 0.5 - 0.5 * size
+    return (x * np.sin(angle) - y * np.cos(angle) < 0.25).astype(float)
+
+
+@pytest.mark.parametrize("angle", [0.0, 90.0, 45.0, 135.0, 26.565, 63.435, 18.435, 7.0, 200.0, 331.0])
+def test_of_a_long_outline_some_points_are_taken_evenly_whatever_its_direction(angle):
+    mask = strip(np.radians(angle))
+    every, some = (outline_offsets(mask, mask > 0.5, 6.0, most) for most in (None, 60))
+    assert 0.7 * 60 <= len(some.offsets) <= 1.3 * 60
+    along = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+    whole, taken = (np.sort(found.points @ along) for found in (every, some))
+    gaps = np.diff(np.concatenate([whole[:1], taken, whole[-1:]]))
+    assert gaps.max() < 4.0 * (whole[-1] - whole[0]) / len(taken)
+
+
+def test_points_that_are_taken_are_what_they_are_among_all():
+    first, second = ellipse((48, 48), (30, 20)), ellipse((48.4, 47.7), (31, 21)) > 0.5
+    every, some = (outline_offsets(first, second, 6.0, most) for most in (None, 40))
+    places = {tuple(pixel): k for k, pixel in enumerate(every.pixels)}
+    own = [places[tuple(pixel)] for pixel in some.pixels]
+    assert 30 <= len(own) <= 50 and len(set(own)) == len(own)
+    for found, among in zip(some, every, strict=True):
+        np.testing.assert_array_equal(found, among[own])
+    for found, among in zip(outline_offsets(first, second, 6.0, 1000), every, strict=True):
+        np.testing.assert_array_equal(found, among)

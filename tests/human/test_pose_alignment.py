@@ -529,6 +529,10 @@ def test_knots_of_a_long_sequence_stay_near_each_other(
     assert len(positions) == len(set(positions)) == looks
     assert positions[0] == 0 and positions[-1] == count - 1
     assert frames_a_knot(count, 20, 20) == 20
+    # of a video whose every second frame is trained on, they lie as many frames of it apart
+    least = -(-count // 500)
+    assert frames_a_knot(count, 4, 4, stride=1.6) == max(4, min(5, -(-count // 120)), least)
+    assert frames_a_knot(count, 4, 4, stride=5.0) == max(4, least)
     asked = window(count)
     assert len(asked) == min(count, 50) and count - asked.stop - asked.start in (0, 1)
 

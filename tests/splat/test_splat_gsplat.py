@@ -83,7 +83,7 @@ def library(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
         setattr(module, function.__name__, function)
     monkeypatch.setitem(sys.modules, "gsplat", module)
     # the stand-in runs on a CPU, where the real one is refused
-    entry = sys.modules["occfusion.splat.rasterize"]
+    entry = sys.modules["occfusion.splat.rasterization"]
     monkeypatch.setattr(entry, "resolve_backend", lambda name, *_: name)
     return module
 

@@ -19,7 +19,7 @@ from splat_scenes import LAYERS, Scene, assert_all_same, gradients, make_scene, 
 from occfusion.cpu.threads import usable_cores
 from occfusion.errors import ConfigError
 from occfusion.splat import Limits, resolve_backend
-from occfusion.splat.backends.numba import ahead, backend
+from occfusion.splat.backends.numba import ahead, backend, project
 from occfusion.splat.backends.numba.bins import sort_by_depth
 from occfusion.splat.backends.numba.layout import DEPTH, REACH, SPLAT_SIZE
 from occfusion.splat.backends.numba.project import project_backward_part
@@ -231,8 +231,16 @@ def test_other_limits() -> None:
 def test_what_is_compiled_ahead_is_what_a_gradient_calls() -> None:
     make_scene(n=5, dtype=torch.float32).render("numba").rgb.sum().backward()
     known = list(project_backward_part.signatures)
-    backend.compile_last()
+    project.compile_last()
     assert list(project_backward_part.signatures) == known and len(known) == 1
+
+
+def test_what_compiles_it_loads_no_torch() -> None:
+    told = subprocess.run(
+        [sys.executable, "-c", f"{ahead.PROGRAM}import sys\nprint('torch' in sys.modules)"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert told.stdout.strip() == "False"
 
 
 def test_whether_a_kernel_is_cached_is_seen(tmp_path: Path) -> None:

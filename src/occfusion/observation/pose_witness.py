@@ -37,8 +37,8 @@ LARGEST = 512
 """Pixels, the longer side of masks that are looked at. There, outlines are known to hundredths of a pixel, and bodies
 fit them to tenths."""
 MOST_POINTS = 300
-"""Of an outline, that are looked at. Its pixels err as their neighbours do: with all of them poses come out worse, since
-they are believed too much (docs/experiments/074-long-videos-start-sooner.md)."""
+"""Of an outline, that are looked at. Its pixels err as their neighbours do, and all of them would be believed too much:
+poses come out worse (docs/experiments/074-fewer-points-better-poses.md)."""
 ROOM = 8
 """Pixels beyond the reach about the body: what a blurred edge there is made of."""
 OCCLUDER = 0.02

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+if TYPE_CHECKING:
+    from torch import Tensor
 
 MAX_DEGREE = 3
 
@@ -34,6 +35,8 @@ def basis(directions: Tensor, degree: int) -> Tensor:
 
     Order and signs are those of 3DGS: m runs from -l to l and odd m carry a minus sign.
     """
+    import torch  # where it is used: kernels are compiled with the constants alone
+
     x, y, z = directions.unbind(-1)
     bands = [torch.full_like(x, SH_C0)]
     if degree >= 1:
@@ -66,6 +69,8 @@ def evaluate(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
     Only the bands up to `degree` are read. The colour is 0.5 plus the sum, clamped at 0 from below
     (without gradient there).
     """
+    import torch
+
     active = num_coefficients(degree)
     weights = basis(directions, degree)
     return torch.einsum("nk,nkc->nc", weights, sh[:, :active]).add(COLOR_OFFSET).clamp_min(0)

@@ -19,7 +19,7 @@ from occfusion.cpu.threads import usable_cores
 from occfusion.splat.backends.numba.project import project_backward_part
 
 PROGRAM = """
-from occfusion.splat.backends.numba.backend import compile_last
+from occfusion.splat.backends.numba.project import compile_last
 compile_last()
 """
 

@@ -69,33 +69,6 @@ class Tape:
     blended: Array
 
 
-def empty_inputs() -> Inputs:
-    """Returns the inputs of a picture without Gaussians, each of its type."""
-    means, quats, scales, covariances, opacities, colors, offsets = (
-        np.empty((0, *tail), np.float32) for tail in ((3,), (4,), (3,), (3, 3), (), (3,), (2,))
-    )
-    return Inputs(
-        means, quats, scales, covariances, opacities, colors, offsets, np.zeros(23), np.zeros(4), degree=0
-    )
-
-
-def empty_tape() -> Tape:
-    """Returns the tape of a picture without Gaussians, each array of its type."""
-    rows = np.empty((0, SPLAT_SIZE), np.float32)
-    return Tape(
-        rows,
-        starts=np.zeros(1, np.int32),
-        entries=np.empty((0, 2), np.int32),
-        slots=np.zeros(1, np.int32),
-        tiles=np.empty(0, np.int64),
-        grid=np.zeros(3, np.int64),
-        limits=np.zeros(3, np.float32),
-        background=np.zeros(3, np.float32),
-        kept=np.empty((0, 2, TILE_LANES), np.float32),
-        blended=np.empty(0, np.uint32),
-    )  # fmt: skip
-
-
 def working_space() -> tuple[Array, Array]:
     """Returns planes and groups of splats (`bins`) for every thread; made here, for kernels compile longer."""
     threads = torch.get_num_threads()
@@ -187,12 +160,6 @@ def gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Arra
         viewmat = torch.zeros(4, 4)
         viewmat[:3, :3], viewmat[:3, 3] = total[:9].view(3, 3), total[9:]
     return [*results, viewmat]
-
-
-def compile_last() -> None:
-    """Compiles what a gradient needs last, or loads it from the cache: by the gradients of no Gaussians."""
-    no_pairs = np.empty((0, GRADIENT_SIZE), np.float32)
-    gaussian_gradients([True] * (len(GRADIENTS) + 1), empty_inputs(), empty_tape(), no_pairs)
 
 
 LEAST_ALPHA_MIN = 1 / 256

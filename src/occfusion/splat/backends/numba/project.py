@@ -67,6 +67,7 @@ from occfusion.splat.backends.numba.layout import (
     G_UV,
     G_V,
     G_VV,
+    GRADIENT_SIZE,
     GREEN,
     HALF_HEIGHT,
     INVERSE_L1,
@@ -75,6 +76,7 @@ from occfusion.splat.backends.numba.layout import (
     LOG_OPACITY,
     REACH,
     RED,
+    SPLAT_SIZE,
     TURN,
     X_PART,
     X_WHOLE,
@@ -328,3 +330,19 @@ def project_backward_part(
                     )
         if wants_camera:
             add_to_camera(count, camera, v, g_camera[begin // PART])
+
+
+def compile_last() -> None:
+    """Compiles what a gradient needs last, or loads it from the cache: by the gradients of no Gaussians.
+
+    Torch is not loaded for it, so that a second process begins to compile a second sooner.
+    """
+
+    def none(*tail: int) -> Any:
+        return np.empty((0, *tail), np.float32)
+
+    gaussians = (none(3), none(4), none(3), none(3, 3), none(), none(3))
+    project_backward_part(
+        *gaussians, np.zeros(23), np.zeros(4), 0, none(SPLAT_SIZE), np.zeros(1, np.int32), none(GRADIENT_SIZE),
+        *gaussians, none(2), np.zeros((0, 12)), True, 0, 1,
+    )  # fmt: skip
