@@ -25,6 +25,8 @@ SAME_DIRECTION = 0.7
 """Cosine: edges that run another way than the outline are somebody else's, an occluder's for example."""
 MOST_ROWS = 30_000
 """OpenCV resamples no more than 32766 rows at a time."""
+THINNED = 0.4
+"""Share of a long outline's points: they lie two to three pixels apart then, and err less alike."""
 PLASTIC = 1.32471795724474602596
 """Root of x^3 = x + 1: multiples of its inverse and of that one's square spread over a plane as evenly as can be, along
 any line of pixels (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018)."""
@@ -49,7 +51,7 @@ class OutlineOffsets(NamedTuple):
 
 
 def outline_offsets(
-    coverage: NDArray[np.floating], seen: NDArray[np.bool_], reach: float, most: int | None = None
+    coverage: NDArray[np.floating], seen: NDArray[np.bool_], reach: float, least: int | None = None
 ) -> OutlineOffsets:
     """Returns where the outline of `seen` lies beside that of `coverage`.
 
@@ -59,14 +61,15 @@ def outline_offsets(
         coverage: share of each pixel that the first mask covers, `[H, W]`, 0..1.
         seen: the second mask, `[H, W]`.
         reach: farthest offset that is looked for, pixels.
-        most: points of an outline that are looked at, about; of a longer one some, evenly spread. None: all.
+        least: points of an outline that are looked at, about; of a longer one these or `THINNED` of it, whichever are
+            more, evenly spread. None: all.
     """
     inside = (coverage > 0.5).astype(np.uint8)
     core = cv2.erode(inside, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
     rows, columns = np.nonzero(inside > np.asarray(core))
-    if most is not None and len(rows) > most:
+    if least is not None and len(rows) > least:
         spread = (rows / PLASTIC + columns / PLASTIC**2) % 1.0
-        chosen = spread < most / len(rows)
+        chosen = spread < max(THINNED, least / len(rows))
         rows, columns = rows[chosen], columns[chosen]
     if not len(rows):
         nothing = np.zeros((0, 2))

@@ -36,8 +36,8 @@ REACH = 0.04
 LARGEST = 512
 """Pixels, the longer side of masks that are looked at. There, outlines are known to hundredths of a pixel, and bodies
 fit them to tenths."""
-MOST_POINTS = 300
-"""Of an outline, that are looked at. Its pixels err as their neighbours do, and all of them would be believed too much:
+LEAST_POINTS = 300
+"""Of an outline, that are looked at; of a longer one some, no fewer. Its pixels err as their neighbours do, and all of them would be believed too much:
 poses come out worse (docs/experiments/074-fewer-points-better-poses.md)."""
 ROOM = 8
 """Pixels beyond the reach about the body: what a blurred edge there is made of."""
@@ -140,7 +140,7 @@ def observe_outline(
     seen = look.seen[top : y + h + room, left : x + w + room]
     coverage = np.zeros(seen.shape, np.float32)
     coverage[y - top : y - top + h, x - left : x - left + w] = drawn.coverage
-    found = outline_offsets(coverage, seen, farthest, MOST_POINTS)
+    found = outline_offsets(coverage, seen, farthest, LEAST_POINTS)
     ends = found.points + found.normals * (found.offsets[:, None] + 1.5)
     column, row = np.clip(ends.astype(int), 0, [seen.shape[1] - 1, seen.shape[0] - 1]).T
     kept = ~_hidden(coverage > 0.5, seen, size)[row, column]
