@@ -37,7 +37,9 @@ def aligned_with_masks(body: Body, sources: Sources, fit: Fit) -> Fit:
     camera = Camera(torch.eye(4), torch.tensor(fit.solution.K, dtype=torch.float32), width, height)
 
     def look_at(position: int) -> Look:
-        return Look.of(numbers[position], poses[position], camera, sources.masks[position])
+        look = Look.of(numbers[position], poses[position], camera, sources.masks[position])
+        # a fit is off by more than the alignment's priors allow: all that outlines say is wanted against them
+        return replace(look, points=None)
 
     # the camera is the fit's own, so that nothing is to be found of it
     alignment = align_sequence(look_at, numbers, body, KNOTS, registered=True)

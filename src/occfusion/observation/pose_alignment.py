@@ -24,9 +24,10 @@ CERTAIN = 5.0
 """Standard deviations from which on pictures are certainly shifted or scaled, as in `data.registration`."""
 FULL_TURN, FULL_PLACE = 0.02, 0.01
 """Radians and metres: spreads from which on training may move poses as fast as its rates say."""
-WORTH = 0.05
-"""Of the misfit with masks there, the share that has to go before anything is taken: exact poses gain nothing, or 2 %
-where mask edges wander by pixels; poses that are off gain 7 and more (docs/experiments/074-fewer-points-better-poses.md)."""
+WORTH = 0.06
+"""Of the misfit with masks there, the share that has to go before anything is taken: exact poses gain nothing, or 5 %
+where mask edges wander by pixels; those off by 0.01 radians gain 10 and more
+(docs/experiments/074-fewer-points-better-poses.md)."""
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,8 @@ LARGEST = 512
 """Pixels, the longer side of masks that are looked at. There, outlines are known to hundredths of a pixel, and bodies
 fit them to tenths."""
 LEAST_POINTS = 300
-"""Of an outline, that are looked at; of a longer one some, no fewer. Its pixels err as their neighbours do, and all of them would be believed too much:
-poses come out worse (docs/experiments/074-fewer-points-better-poses.md)."""
+"""Of an outline, that are looked at; of a longer one some, no fewer. Its pixels err as their neighbours do, and all of
+them would be believed too much: poses come out worse (docs/experiments/074-fewer-points-better-poses.md)."""
 ROOM = 8
 """Pixels beyond the reach about the body: what a blurred edge there is made of."""
 OCCLUDER = 0.02
@@ -87,6 +87,7 @@ class Look:
         camera: at the size of the mask.
         seen: the visible person, `[H, W]`.
         pixel: sides of the frame's pixels that one of the mask has.
+        points: of its outline that are looked at, at least; None: all.
     """
 
     index: int
@@ -94,6 +95,7 @@ class Look:
     camera: Camera
     seen: Mask
     pixel: float = 1.0
+    points: int | None = LEAST_POINTS
 
     @classmethod
     def at(cls, frame: Frame) -> Look:
@@ -140,7 +142,7 @@ def observe_outline(
     seen = look.seen[top : y + h + room, left : x + w + room]
     coverage = np.zeros(seen.shape, np.float32)
     coverage[y - top : y - top + h, x - left : x - left + w] = drawn.coverage
-    found = outline_offsets(coverage, seen, farthest, LEAST_POINTS)
+    found = outline_offsets(coverage, seen, farthest, look.points)
     ends = found.points + found.normals * (found.offsets[:, None] + 1.5)
     column, row = np.clip(ends.astype(int), 0, [seen.shape[1] - 1, seen.shape[0] - 1]).T
     kept = ~_hidden(coverage > 0.5, seen, size)[row, column]
