@@ -44,7 +44,10 @@ class DatasetSettings:
     )
     test_frames: Frames = setting(None, "the same of the held-out ones; null: the protocol's")
     max_train_frames: int | None = setting(
-        None, "of more training frames so many are taken, evenly spread; null: all", 1, MANY_FRAMES
+        None,
+        "of more training frames so many are taken, evenly spread; null: as many as steps see",
+        1,
+        MANY_FRAMES,
     )
     masks: str | None = setting(None, "the folder of masks; null: the protocol's")
     occlusion: OcclusionSettings = field(default_factory=OcclusionSettings)
