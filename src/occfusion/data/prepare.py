@@ -192,7 +192,7 @@ def prepare(
     wanted = _thinned(sequence, most_seen)
     held_out = held_out_range(selection.test_frames, scene.num_frames)
     if selection.test_frames is None:
-        held_out = _shown(scene, cameras, held_out, wanted)
+        held_out = _shown(scene, cameras, held_out, sequence)
     survey.require_files(scene, ((frame, camera) for frame in wanted))
     found = survey.scan_people(scene, wanted, camera)
     _check_sizes(scene, wanted, camera, found)
