@@ -62,6 +62,6 @@ def frames_a_knot(count: int, found: int, most: int, stride: float = 1.0) -> int
         most: how many were asked at most; where they are likely, long sequences have more.
         stride: frames of the video from one training frame to the next.
     """
-    widest = max(1, round(WIDEST / stride))
+    widest = max(1, int(WIDEST / stride))
     least = math.ceil(count / MOST_KNOTS)
     return max(found, least) if found < most else max(most, min(widest, math.ceil(count / FULL_KNOTS)), least)
