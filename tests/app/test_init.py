@@ -14,15 +14,16 @@ from occfusion.errors import DataError, NumericsError
 from occfusion.files.images import read_mask
 from occfusion.files.run_folder import RunFolder
 from occfusion.human import Body, load_body
+from occfusion.observation import frames as frames_module
 from occfusion.observation.clothes import measure_thickness
-from occfusion.observation.frames import Observation, ObservedFrame, observe_frames
+from occfusion.observation.frames import Observation, ObservedFrames, observe_frames
 from occfusion.priors.calibration import STILL, Calibration, calibrate
 from occfusion.priors.embedded.network_file import save_net
 from occfusion.priors.embedded.silhouette_net import SILHOUETTE, load_silhouette_net
 from occfusion.priors.masks import MaskPrior
 from occfusion.settings.stages import InitSettings
 from occfusion.stages import framewise
-from occfusion.stages.init import InitStage
+from occfusion.stages.init import InitStage, frames_to_complete
 from occfusion.types import Frame
 
 SCENE = "001-clean"
@@ -55,15 +56,15 @@ def data(scene_root: Path, body: Body) -> ZjuDataModule:
 
 
 @pytest.fixture(scope="module")
-def observed_frames(data: ZjuDataModule, body: Body) -> list[ObservedFrame]:
-    return observe_frames((data.train_frame(k, truth=False) for k in range(len(data.train_indices))), body)
+def observed_frames(data: ZjuDataModule, body: Body) -> ObservedFrames:
+    return observe_frames(lambda k: data.train_frame(k, truth=False), data.train_indices, body)
 
 
 Make = Callable[..., InitStage]
 
 
 @pytest.fixture
-def make(data: ZjuDataModule, body: Body, observed_frames: list[ObservedFrame], tmp_path: Path) -> Make:
+def make(data: ZjuDataModule, body: Body, observed_frames: ObservedFrames, tmp_path: Path) -> Make:
     def stage(prior: MaskPrior, **settings: Any) -> InitStage:
         def read(k: int) -> Frame:
             return data.train_frame(k, truth=False)
@@ -88,7 +89,7 @@ def run(stage: InitStage, data: ZjuDataModule) -> None:
 
 
 def test_occluded_frames_are_completed_and_the_others_passed_through(
-    make: Make, data: ZjuDataModule, observed_frames: list[ObservedFrame]
+    make: Make, data: ZjuDataModule, observed_frames: ObservedFrames
 ) -> None:
     prior = CountingPrior(0.9)
     stage = make(prior, smoothing=0.0)
@@ -111,7 +112,7 @@ def test_occluded_frames_are_completed_and_the_others_passed_through(
 
 @pytest.mark.parametrize("most", [1, 3])
 def test_of_many_occluded_frames_some_are_completed_and_no_others_are_asked_for(
-    make: Make, data: ZjuDataModule, observed_frames: list[ObservedFrame], most: int
+    make: Make, data: ZjuDataModule, observed_frames: ObservedFrames, most: int
 ) -> None:
     occluded = [k for k, observed_frame in enumerate(observed_frames) if observed_frame.evidence.occluded]
     assert len(occluded) > most
@@ -129,8 +130,40 @@ def test_of_many_occluded_frames_some_are_completed_and_no_others_are_asked_for(
     assert len(whole.wanted) == len(observed_frames)
 
 
+def test_of_a_long_video_some_frames_are_looked_at_and_others_when_they_are_asked_for(
+    data: ZjuDataModule, body: Body, observed_frames: ObservedFrames, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is found of a frame is the same either way; decisions, and masks that suffice, go by some."""
+    monkeypatch.setattr(frames_module, "JUDGED", 4)
+    looked: list[int] = []
+
+    def read(position: int) -> Frame:
+        looked.append(position)
+        return data.train_frame(position, truth=False)
+
+    found, count = observe_frames(read, data.train_indices, body), len(observed_frames)
+    assert len(found) == count > 8 and looked == found.sample and len(looked) == 4
+    assert (looked[0], looked[-1]) == (0, count - 1)
+    assert [own.index for own in found.judged] == [data.train_indices[k] for k in looked]
+    occluded = sum(own.evidence.occluded for own in found.judged)
+    assert occluded > 1
+    assert set(frames_to_complete(found, occluded - 1)) < set(found.sample) and len(looked) == 4
+    for position, wanted in enumerate(observed_frames):
+        own = found[position]
+        assert own.index == wanted.index == found.indices[position] and found.positions[own.index] == position
+        for name in ("hidden", "background", "maybe_hidden", "hidden_share", "occluded", "outside_share"):
+            assert np.array_equal(getattr(own.evidence, name), getattr(wanted.evidence, name)), name
+        assert np.array_equal(own.vertices, wanted.vertices)
+    assert sorted(looked) == list(range(count)) and found[-1] is found[count - 1]
+    # where those do not suffice, all are looked at
+    every = [k for k in range(count) if found[k].evidence.occluded]
+    again = observe_frames(read, data.train_indices, body)
+    assert frames_to_complete(again, len(every) - 1) == frames_to_complete(observed_frames, len(every) - 1)
+    assert frames_to_complete(again, None) == list(range(count))
+
+
 def test_the_strip_of_the_first_frames_is_what_is_found(
-    data: ZjuDataModule, observed_frames: list[ObservedFrame]
+    data: ZjuDataModule, observed_frames: ObservedFrames
 ) -> None:
     shares = [float((~f.visible_mask & f.truth.mask).sum() / f.truth.mask.sum()) for f in data.train_frames()]
     for share, observed_frame in zip(shares, observed_frames, strict=True):
@@ -170,7 +203,7 @@ def test_a_body_outside_the_picture_is_named(data: ZjuDataModule, body: Body) ->
     frame = data.train_frame(0, truth=False)
     pose = type(frame.pose)(**{**vars(frame.pose), "transl": frame.pose.transl + 100.0})
     with pytest.raises(DataError, match=f"{frame.name}.*outside the picture"):
-        observe_frames([type(frame)(**{**vars(frame), "pose": pose})], body)
+        observe_frames(lambda _: type(frame)(**{**vars(frame), "pose": pose}), [0], body)
 
 
 def test_a_frame_with_everything_hidden_is_completed_and_counted(
@@ -178,7 +211,7 @@ def test_a_frame_with_everything_hidden_is_completed_and_counted(
 ) -> None:
     frame = data.train_frame(0, truth=False)
     nothing = type(frame)(**{**vars(frame), "visible_mask": torch.zeros_like(frame.visible_mask)})
-    observed_frames = observe_frames([nothing], body)
+    observed_frames = observe_frames(lambda _: nothing, [0], body)
     stage = InitStage(
         CountingPrior(0.9),
         body,
@@ -244,7 +277,7 @@ def test_a_long_video_writes_its_manifest_less_often(
 
 
 def test_a_prior_that_knows_nothing_is_calibrated_to_the_body(
-    data: ZjuDataModule, body: Body, observed_frames: list[ObservedFrame]
+    data: ZjuDataModule, body: Body, observed_frames: ObservedFrames
 ) -> None:
     found = calibrate(CountingPrior(0.5), observed_frames, lambda k: data.train_frame(k, truth=False), body)
     assert found.pixels > 100
@@ -257,7 +290,7 @@ def test_a_prior_that_knows_nothing_is_calibrated_to_the_body(
 def test_nothing_to_learn_leaves_the_answer_as_it_is(body: Body, data: ZjuDataModule) -> None:
     frame = data.train_frame(0, truth=False)
     nothing = type(frame)(**{**vars(frame), "visible_mask": torch.zeros_like(frame.visible_mask)})
-    observed_frames = observe_frames([nothing], body)
+    observed_frames = observe_frames(lambda _: nothing, [0], body)
     found = calibrate(CountingPrior(), observed_frames, lambda _: nothing, body)
     assert found.weights == STILL
     answer = np.random.default_rng(0).random((96, 96)).astype(np.float32)
@@ -272,14 +305,14 @@ def test_thickness_of_clothes_is_what_stands_off_the_body(data: ZjuDataModule, b
     frames = []
     for position in range(len(data.train_indices)):
         frame = data.train_frame(position, truth=False)
-        observed_frame = observe_frames([frame], body)[0]
+        observed_frame = observe_frames([frame].__getitem__, [0], body)[0]
         camera = frame.camera
         covered = (
             view_body(*vars(observed_frame.projected).values(), body.faces.numpy(), 96, 96).coverage > 0.5
         )
         dressed = cv2.dilate(covered.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
         frames.append(type(frame)(**{**vars(frame), "visible_mask": torch.from_numpy(dressed)}))
-    observed_frames = observe_frames(frames, body)
+    observed_frames = observe_frames(frames.__getitem__, range(len(frames)), body)
     found = measure_thickness(observed_frames, lambda k: frames[k], body, range(len(frames)))
     pixel = float(np.median(observed_frames[0].projected.depths)) / float(camera.K[0, 0])
     assert found.mean() == pytest.approx(pixel, rel=0.25)
@@ -292,7 +325,12 @@ def test_thickness_of_clothes_is_what_stands_off_the_body(data: ZjuDataModule, b
             view_body(*vars(observed_frame.projected).values(), body.faces.numpy(), 96, 96).coverage > 0.5
         )
         frame.visible_mask.copy_(torch.from_numpy(covered))
-    bare = measure_thickness(observe_frames(naked, body), lambda k: naked[k], body, range(len(naked)))
+    bare = measure_thickness(
+        observe_frames(naked.__getitem__, range(len(naked)), body),
+        lambda k: naked[k],
+        body,
+        range(len(naked)),
+    )
     assert bare.mean() < 0.35 * pixel
 
 

@@ -12,7 +12,7 @@ from occfusion.human.observability import Observability, ObservedSurface
 from occfusion.observation.consistency import ProjectedMesh
 from occfusion.observation.evidence import HIDDEN_SHARE, Evidence
 from occfusion.observation.exposure import Exposure, Gains
-from occfusion.observation.frames import ObservedFrame, PosedBody
+from occfusion.observation.frames import ObservedFrame, ObservedFrames, PosedBody
 from occfusion.observation.key_light import KeyLight
 from occfusion.observation.light import Light
 from occfusion.observation.pose_alignment import Alignment
@@ -24,29 +24,31 @@ from occfusion.settings.schema import Settings, optim_hash
 SUMMARY = {"occluded_frames": 0, "frames": 12, "frames_unseen": 0}
 
 
-def frames(*shares: float) -> list[ObservedFrame]:
+def frames(*shares: float) -> ObservedFrames:
     """Returns frames of 100 x 50 px that hide these shares of a body in the middle, 20 x 24 px large."""
     nothing = np.zeros((50, 100), dtype=bool)
     motion = ProjectedMesh(np.array([[40.0, 10.0], [60.0, 34.0]]), np.ones(2))
     keypoints = np.zeros((18, 3))
-    return [
-        ObservedFrame(
-            k,
-            lambda: PosedBody(np.zeros((2, 3)), keypoints, motion),
-            Evidence(nothing, nothing, nothing, share, share > HIDDEN_SHARE, share),
-        )
-        for k, share in enumerate(shares)
-    ]
+    return ObservedFrames.of(
+        [
+            ObservedFrame(
+                k,
+                lambda: PosedBody(np.zeros((2, 3)), keypoints, motion),
+                Evidence(nothing, nothing, nothing, share, share > HIDDEN_SHARE, share),
+            )
+            for k, share in enumerate(shares)
+        ]
+    )
 
 
 LIGHT = Light(KeyLight(np.array([0.1, -0.2, 0.1]), 0.04, 0.02, 5.0), 0.1)
 
 
-def made(settings: Settings, observed_frames: list[ObservedFrame] | None) -> planning.Plan:
+def made(settings: Settings, observed_frames: ObservedFrames | None) -> planning.Plan:
     return planning.make_plan(settings, SUMMARY, "torch", observed_frames, LIGHT)
 
 
-def used(settings: Settings, observed_frames: list[ObservedFrame] | None) -> dict[str, bool]:
+def used(settings: Settings, observed_frames: ObservedFrames | None) -> dict[str, bool]:
     return {d.part: d.used for d in made(settings, observed_frames).decisions}
 
 
@@ -57,7 +59,7 @@ def alignment_of(amount: float) -> Alignment:
     )
 
 
-def as_planned(settings: Settings, observed_frames: list[ObservedFrame] | None) -> Settings:
+def as_planned(settings: Settings, observed_frames: ObservedFrames | None) -> Settings:
     """The settings that training goes by."""
     return made(settings, observed_frames).settings
 
@@ -169,7 +171,7 @@ def test_the_share_of_the_picture_is_measured() -> None:
 )
 @pytest.mark.parametrize("observed_frames", [frames(*[0.0] * 12), frames(*[0.0] * 4, *[0.5] * 8)])
 def test_the_optimisation_leaves_its_perceptual_term_to_the_refinement(
-    overrides: tuple[str, ...], built: bool, observed_frames: list[ObservedFrame]
+    overrides: tuple[str, ...], built: bool, observed_frames: ObservedFrames
 ) -> None:
     settings = settings_of(*overrides)
     assert used(settings, observed_frames)["loss term lpips"] == built
@@ -268,6 +270,28 @@ def test_of_many_occluded_frames_some_get_masks_where_these_count_for_little(
     assert plan.settings.refine.hidden == every.refine.hidden
     (decision,) = (d for d in plan.decisions if d.part == "complete masks")
     assert decision.used and ("; 5 of 8 are completed" in decision.reason) == (most is not None)
+
+
+@pytest.mark.parametrize(("most", "planned"), [(12, 12), (20, None)])
+def test_of_a_long_video_some_frames_stand_for_all(most: int, planned: int | None) -> None:
+    """Every second of 36 frames is looked at, the others would hide as much: 16 of all are occluded, by 8 of 18."""
+    looked: list[int] = []
+    some = frames(*[0.5] * 8, *[0.0] * 10)
+
+    def look(position: int) -> ObservedFrame:
+        looked.append(position)
+        return some[position // 2]
+
+    observed_frames = ObservedFrames(range(36), look, range(0, 36, 2))
+    plan = made(settings_of(f"init.max_frames={most}"), observed_frames)
+    assert plan.settings.init.max_frames == planned
+    (decision,) = (d for d in plan.decisions if d.part == "complete masks")
+    assert decision.reason.startswith("8 of 18 training frames, evenly spread, hide more than 3% of the body")
+    assert ("; 12 of about 16 are completed" in decision.reason) == (planned is not None)
+    every = made(settings_of("init.max_frames=null"), observed_frames).settings.optim.hidden.weight
+    weight = plan.settings.optim.hidden.weight
+    assert weight == pytest.approx(every * (16 / 12 if planned else 1))
+    assert sorted(looked) == list(range(0, 36, 2))
 
 
 def test_no_mask_counts_for_more_than_was_tried() -> None:

@@ -129,7 +129,7 @@ def test_where_anything_may_stand_before_the_person_others_are_found_as_any_occl
     data = module(crowd, source, occluded=True)
     frames = [data.train_frame(k) for k in range(FRAMES)]
     assert all(frame.occluded is None and frame.truth is None for frame in frames)
-    observed_frames = observe_frames(frames, source.body)
+    observed_frames = observe_frames(frames.__getitem__, range(len(frames)), source.body)
     assert [observed_frame.evidence.occluded for observed_frame in observed_frames] == [
         True,
         False,

@@ -88,6 +88,15 @@ def test_looks_are_the_cosines_of_what_a_line_of_sight_reaches(angle):
     assert (found > 0).sum() > 30
 
 
+def test_a_closed_body_is_seen_the_same_where_its_back_is_left_out():
+    points, faces = two_balls()
+    views = [view(points, angle) for angle in (0.0, 0.3, 2.0, np.pi)]
+    whole, closed = (cover(views, faces, closed=closed) for closed in (False, True))
+    assert whole is not None and closed is not None and (whole.looks > 0).any()
+    for name in ("looks", "spread", "moments", "passes"):
+        np.testing.assert_array_equal(getattr(closed, name), getattr(whole, name))
+
+
 def test_what_the_mask_hides_is_not_seen():
     points, faces = ball(0.5, (0, 0, 0))
     left = ALL.copy()

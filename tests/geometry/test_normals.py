@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import trimesh
 
 from occfusion.geometry.normals import vertex_normals
@@ -30,3 +31,10 @@ def test_normals_are_means_of_the_faces_around_by_area() -> None:
 def test_a_vertex_without_a_face_and_a_flat_face_have_no_normal() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [5, 5, 5]])
     assert np.array_equal(vertex_normals(points, np.array([[0, 1, 2]])), np.zeros((4, 3)))
+
+
+def test_a_face_of_vertices_that_do_not_exist_is_refused() -> None:
+    for wrong in (3, -1):
+        with pytest.raises(IndexError, match="of 3"):
+            vertex_normals(np.eye(3), np.array([[0, 1, wrong]]))
+    assert vertex_normals(np.zeros((2, 3)), np.zeros((0, 3), int)).shape == (2, 3)

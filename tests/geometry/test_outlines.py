@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, map_coordinates, sobel
 
-from occfusion.geometry.outlines import outline_offsets
+from occfusion.geometry.outlines import STEP, _crossings, _gradient, outline_offsets
 
 SIZE = 96
 SAMPLES = 8
@@ -41,6 +42,35 @@ def test_offsets_are_those_of_two_ellipses(middle, axes):
     # a binary mask knows an edge to a fraction of a pixel, and many pixels to a hundredth
     assert np.abs(found.offsets - true).max() < 0.45
     assert abs(np.mean(found.offsets - true)) < 0.04
+
+
+def test_crossings_and_gradients_are_those_of_a_picture_that_is_sampled_point_by_point():
+    """Samples by SciPy; of all falls through one half, the nearest, looked for one after the other."""
+    rng = np.random.default_rng(0)
+    image = gaussian_filter(rng.uniform(size=(40, 30)), 1.5).astype(np.float32)
+    image = (image - image.min()) / np.ptp(image)
+    points = rng.uniform(-3.0, 43.0, (300, 2))  # some beyond the border
+    angles = rng.uniform(0.0, 2 * np.pi, 300)
+    normals, near = np.stack([np.cos(angles), np.sin(angles)], axis=1), rng.uniform(-3.0, 3.0, 300)
+
+    def at(picture, places):
+        return map_coordinates(picture.astype(np.float64), (places[:, ::-1] - 0.5).T, order=1, mode="nearest")
+
+    found, reach = _crossings(image, points, normals, 5.1, near), 5.25  # whole steps
+    for k, (point, normal) in enumerate(zip(points, normals, strict=True)):
+        distances = np.arange(-reach, reach + 0.5 * STEP, STEP)
+        profile = at(image, point + distances[:, None] * normal)
+        falls = [
+            distances[n] + STEP * (profile[n] - 0.5) / (profile[n] - profile[n + 1])
+            for n in range(len(profile) - 1)
+            if profile[n] >= 0.5 > profile[n + 1]
+        ]
+        wanted = min(falls, key=lambda place: abs(place - near[k]), default=np.nan)
+        np.testing.assert_allclose(found[k], wanted, atol=1e-5)
+    assert 0.3 < np.isfinite(found).mean() < 1.0
+    inside = ((points > 2) & (points < [28, 38])).all(axis=1)
+    gradient = np.stack([at(sobel(image.astype(float), axis), points) for axis in (1, 0)], axis=1)
+    np.testing.assert_allclose(_gradient(image, points)[inside], gradient[inside], atol=1e-5)
 
 
 def test_the_points_lie_on_the_first_outline_and_normals_point_out():

@@ -15,6 +15,7 @@ from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.rotation import axis_angle_to_matrix
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human import Avatar, Body, PoseSpline, embedded_body, load_avatar, save_avatar
+from occfusion.human.posed_mesh import mesh_poser
 from occfusion.observation import aligner as aligner_module
 from occfusion.observation import sequence_alignment
 from occfusion.observation.aligner import Aligner, spline_weights
@@ -22,7 +23,13 @@ from occfusion.observation.aligner import align_poses as align_with
 from occfusion.observation.knot_spacing import frames_a_knot, likely_spacing, window
 from occfusion.observation.outline_system import OutlineSystem
 from occfusion.observation.pose_alignment import GROUPS, WORTH, Alignment, aligned_pose
-from occfusion.observation.pose_witness import Look, Witness, _Figure, _spread, misfits, observe_outline
+from occfusion.observation.pose_witness import (
+    Look,
+    Witness,
+    _spread,
+    misfits,
+    observe_outline,
+)
 from occfusion.observation.sequence_alignment import (
     align_sequence,
     pieces,
@@ -118,9 +125,10 @@ def test_derivatives_are_those_of_the_body(whole_body: Body) -> None:
     body = embedded_body(torch.float64)
     pose = motion(7)
     turns = 0.05 * torch.randn(24, 3, dtype=torch.float64)
-    figure = _Figure(body, pose, turns.numpy(), np.zeros(3))
+    poser = mesh_poser(body)
+    mesh = poser.pose(pose, turns.numpy(), np.zeros(3))
     chosen = np.arange(0, body.num_vertices, 97)
-    axes = [figure.derivatives(chosen, np.tile(axis, (len(chosen), 1))) for axis in np.eye(3)]
+    axes = [poser.derivatives(mesh, chosen, np.tile(axis, (len(chosen), 1))) for axis in np.eye(3)]
     by_turns, by_shape = (np.stack(parts, axis=-1) for parts in zip(*axes, strict=True))
 
     def vertices(extra: torch.Tensor, betas: torch.Tensor) -> Floats:
@@ -138,7 +146,7 @@ def test_derivatives_are_those_of_the_body(whole_body: Body) -> None:
 
     nothing, step = torch.zeros(24, 3, dtype=torch.float64), 1e-5
     betas = torch.zeros(10, dtype=torch.float64)
-    np.testing.assert_allclose(figure.vertices[chosen], vertices(nothing, betas), atol=1e-7)
+    np.testing.assert_allclose(mesh.vertices[chosen], vertices(nothing, betas), atol=1e-7)
     for joint, axis in ((0, 1), (3, 0), (4, 2), (16, 1), (19, 0)):
         ahead, behind = nothing.clone(), nothing.clone()
         ahead[joint, axis], behind[joint, axis] = step, -step

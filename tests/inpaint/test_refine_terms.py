@@ -19,7 +19,7 @@ from occfusion.human.avatar import Avatar
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.partial import KNOWN
 from occfusion.observation.evidence import Evidence
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrame, ObservedFrames
 from occfusion.quality import losses
 from occfusion.settings.stages import HiddenSettings, ReferenceSettings, RefineSettings
 from occfusion.stages.references import References
@@ -182,10 +182,17 @@ def test_all_of_a_frame_without_a_complete_mask_is_uncertain() -> None:
     background = ~hidden
     background[1] = True
     evidence = Evidence(nothing, background, hidden, 0.5, True, 0.0)
-    found = UncertainMasks.found([ObservedFrame(k, lambda: None, evidence) for k in (3, 5)], {1})  # type: ignore[arg-type,return-value]
+    found = UncertainMasks.found(
+        ObservedFrames.of([ObservedFrame(k, lambda: None, evidence) for k in (3, 5)]),  # type: ignore[arg-type,return-value]
+        {1},
+    )
     assert (found.hidden[3] == hidden).all() and (found.hidden[5] == hidden).all()
     assert (found.assumed_background[3] == hidden).all()
     assert (found.assumed_background[5] == (hidden & background)).all()
+    assert list(found.hidden) == [3, 5] and len(found.assumed_background) == 2 and 4 not in found.hidden
+    whole = ObservedFrame(7, lambda: None, Evidence(nothing, background, nothing, 0.0, False, 0.0))  # type: ignore[arg-type,return-value]
+    certain = UncertainMasks.found(ObservedFrames.of([whole]))
+    assert not certain.hidden and certain.hidden.get(7) is None and certain.assumed_background.get(7) is None
 
 
 @pytest.mark.parametrize("pixels", ["unseen", "hidden"])

@@ -116,7 +116,7 @@ def fitted(
 ) -> tuple[float, float]:
     """Returns the mean IoU inside the hidden half, and the floaters' mean opacity."""
     body, shots = embedded_body(), make_shots()
-    observed_frames = observe_frames((shot.frame for shot in shots), body)
+    observed_frames = observe_frames(lambda k: shots[k].frame, range(len(shots)), body)
     avatar, count = make_avatar(body)
     distiller = None
     if settings is not None:

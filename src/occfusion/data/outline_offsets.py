@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.outlines import outline_offsets
 from occfusion.geometry.sampled_mesh import SampledMesh
+from occfusion.geometry.winding import is_closed
 from occfusion.types import Camera
 
 
@@ -101,8 +103,10 @@ def measure_offsets(views: Iterable[View], faces: Ints, correction: Correction) 
         faces: of the body, `[F, 3]`.
         correction: of the cameras; offsets are measured from there.
     """
-    parts = []
+    parts: list[tuple[Any, ...]] = []
+    closed: bool | None = None
     for view in views:
+        closed = is_closed(view.vertices, faces) if closed is None else closed
         camera = correction.corrected(view.camera)
         viewmat, K = camera.viewmat.double().numpy(), camera.K.double().numpy()
         pixels, depth = project_vertices(view.vertices, viewmat, K)
@@ -112,7 +116,7 @@ def measure_offsets(views: Iterable[View], faces: Ints, correction: Correction) 
         if box is None:
             continue
         left, top, width, height = box
-        drawn = SampledMesh.draw(pixels, depth, faces, box)
+        drawn = SampledMesh.draw(pixels, depth, faces, box, closed=closed)
         found = outline_offsets(
             drawn.coverage, view.mask[top : top + height, left : left + width], max(REACH * size, 3.0)
         )

@@ -112,7 +112,7 @@ class Views:
         frame, hidden = ready.train[position], ready.hidden[position]
         files, lens = ready.scene.files(frame, ready.camera), self.lens_at(frame, ready.camera)
         packed = self._cache.get(position, lambda: pack(files, lens, hidden))
-        made = self._frame(packed, frame, ready.camera, truth)
+        made = self._frame(packed, files.name, frame, ready.camera, truth)
         if self.gains is not None:
             made = _evened(made, self.gains[position])
         path = self.complete_masks(frame) if self.complete_masks is not None and complete else None
@@ -138,8 +138,9 @@ class Views:
 
     def test_frame(self, frame: int, camera: int) -> Frame:
         """Returns a held-out view: unoccluded, its truth being what it shows."""
-        packed = pack(self._prepared.scene.files(frame, camera), self.lens_at(frame, camera), clean=True)
-        return self._frame(packed, frame, camera, True)
+        files = self._prepared.scene.files(frame, camera)
+        packed = pack(files, self.lens_at(frame, camera), clean=True)
+        return self._frame(packed, files.name, frame, camera, True)
 
     def lens(self, camera: int) -> Lens:
         """Returns how a camera's stored pictures become frames."""
@@ -184,12 +185,12 @@ class Views:
         betas, global_orient, body_pose, transl = (torch.tensor(part, dtype=torch.float32) for part in parts)
         return Pose(betas, global_orient, body_pose, transl, frame)
 
-    def _frame(self, packed: Packed, frame: int, camera: int, truth: bool) -> Frame:
+    def _frame(self, packed: Packed, name: str, frame: int, camera: int, truth: bool) -> Frame:
         known = packed.truth() if truth else None
         return Frame(
             index=frame,
             camera_index=camera,
-            name=self._prepared.scene.files(frame, camera).name,
+            name=name,
             rgb=packed.rgb(),
             visible_mask=packed.visible_mask(),
             occluded=packed.occluded() if truth else None,

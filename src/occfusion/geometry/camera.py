@@ -99,7 +99,10 @@ def project_vertices(
     vertices: NDArray[np.floating], viewmat: NDArray[np.floating], K: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Returns pixels `[V, 2]` and depths `[V]` of world points; what lies behind the camera keeps its depth."""
-    local = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
-    depth = local[:, 2]
-    pixels = (local[:, :2] / np.where(depth > 0.01, depth, 1.0)[:, None]) @ K[:2, :2].T + K[:2, 2]
+    x, y, depth = viewmat[:3, :3] @ vertices.T + viewmat[:3, 3:]  # in rows, which takes half of the time
+    away = np.where(depth > 0.01, depth, 1.0)
+    x, y = x / away, y / away
+    pixels = np.empty((len(depth), 2))
+    pixels[:, 0] = K[0, 0] * x + K[0, 1] * y + K[0, 2]
+    pixels[:, 1] = K[1, 0] * x + K[1, 1] * y + K[1, 2]
     return pixels, depth

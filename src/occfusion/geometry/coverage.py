@@ -8,18 +8,21 @@ the surface, so that a limb that turns is seen from several directions as if the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.cpu.compilation import kernel
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.distance import nearest_set
 from occfusion.geometry.normals import vertex_normals
-from occfusion.geometry.zbuffer import NEAR, NO_FACE, ZBuffer, rasterize_mesh
+from occfusion.geometry.zbuffer import NEAR, NO_FACE, ZBuffer, nearest_faces
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 UNSEEN, ONE, MANY = 0, 1, 2
 """Classes of places: not seen, seen from one direction, seen from many."""
@@ -94,35 +97,61 @@ class Coverage:
         return np.where(seen, np.where(np.nan_to_num(self.spread) > CONE, MANY, ONE), UNSEEN).astype(np.int8)
 
 
-def cover(sightings: Iterable[Sighting], faces: NDArray[np.integer]) -> Coverage | None:
+def cover(
+    sightings: Iterable[Sighting], faces: NDArray[np.integer], *, closed: bool = False
+) -> Coverage | None:
     """Returns how well each place is seen; None without any view.
 
     Args:
         sightings: views of the same body.
         faces: triangles, `[F, 3]`, corners counter-clockwise from outside.
+        closed: as in `nearest_faces`.
     """
     weights: list[NDArray[np.float32]] = []
     directions: list[NDArray[np.float32]] = []
     for sighting in sightings:
-        weight, direction = looks(sighting, faces)
+        if not weights:
+            count = len(sighting.vertices)
+            partners, moments, passes = (
+                _partners(count, faces),
+                np.zeros((count, 3, 3)),
+                np.zeros((count, 3, 3)),
+            )
+        weight, direction = looks(sighting, faces, partners, closed=closed)
         weights.append(weight.astype(np.float32))  # a long video has hundreds of views
         directions.append(direction.astype(np.float32))
+        _add_moments(weights[-1], directions[-1], moments, passes)
     if not weights:
         return None
     weight, direction = np.stack(weights), np.stack(directions)
     total = weight.sum(axis=0, dtype=np.float64)
-    moments = np.einsum("tv,tvi,tvj->vij", weight, direction, direction, dtype=np.float64)
     moments /= np.maximum(total, 1e-12)[:, None, None]
-    passes = np.einsum("tvi,tvj->vij", direction, direction, dtype=np.float64) / len(weights)
-    return Coverage(len(weights), total, _spread(weight, direction), moments, passes)
+    return Coverage(len(weights), total, _spread(weight, direction), moments, passes / len(weights))
 
 
-def looks(sighting: Sighting, faces: NDArray[np.integer]) -> tuple[Floats, Floats]:
+@kernel
+def _add_moments(
+    weight: NDArray[np.float32], direction: NDArray[np.float32], moments: Floats, passes: Floats
+) -> None:
+    """Adds a view's d d^t at each place, `[V, 3, 3]`: weighed, and plain."""
+    for v in range(len(weight)):
+        for i in range(3):
+            for j in range(3):
+                product = np.float64(direction[v, i]) * np.float64(direction[v, j])
+                moments[v, i, j] += weight[v] * product
+                passes[v, i, j] += product
+
+
+def looks(
+    sighting: Sighting, faces: NDArray[np.integer], partners: Ints | None = None, *, closed: bool = False
+) -> tuple[Floats, Floats]:
     """Returns how much one view shows of each place, and from where.
 
     Args:
         sighting: the view.
         faces: triangles, `[F, 3]`.
+        partners: the vertex at the other end of each place's edge, `[V]`; None: it is looked for.
+        closed: as in `nearest_faces`.
 
     Returns:
         cosines `[V]`, 0 where a place is not seen, and directions to the camera in the frame of each place, `[V, 3]`:
@@ -131,20 +160,46 @@ def looks(sighting: Sighting, faces: NDArray[np.integer]) -> tuple[Floats, Float
     points, visible = sighting.vertices, sighting.visible
     height, width = visible.shape
     pixels, depths = sighting.pixels, sighting.depths
-    towards = sighting.centre - points
-    towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
-    frames = surface_frames(points, faces)
-    direction = np.einsum("vij,vj->vi", frames, towards)
-    cosine = direction[:, 2]
+    if partners is None:
+        partners = _partners(len(points), faces)
+    direction = np.empty_like(points)
+    _fill_directions(points, vertex_normals(points, faces), partners, sighting.centre, direction)
+    cosine, (x, y) = direction[:, 2], pixels.T
     # comparisons before the conversion to integers: coordinates may be huge
-    inside = (depths > NEAR) & (pixels >= 0).all(axis=1) & (pixels < (width, height)).all(axis=1)
+    inside = (depths > NEAR) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
     shown = inside & (cosine > GRAZING)
     column, row = np.floor(pixels[shown]).astype(np.int64).T
-    nearest = rasterize_mesh(pixels, depths, faces, width, height).depth[row, column]
+    nearest = nearest_faces(pixels, depths, faces, width, height, closed=closed).depth[row, column]
     slope = np.sqrt(1.0 - np.minimum(cosine[shown], 1.0) ** 2) / cosine[shown]
     slack = SLACK + np.sqrt(0.5) * depths[shown] / sighting.focal * slope
     shown[shown] = visible[row, column] & (depths[shown] <= nearest + slack)
     return np.where(shown, cosine, 0.0), direction
+
+
+@kernel
+def _fill_directions(points: Floats, normals: Floats, partners: Ints, centre: Floats, out: Floats) -> None:
+    """Gives the unit direction from each place to a point, in the place's frame (`surface_frames`)."""
+    for v in range(len(points)):
+        nx, ny, nz, p = normals[v, 0], normals[v, 1], normals[v, 2], partners[v]
+        edge_x, edge_y, edge_z = (
+            points[p, 0] - points[v, 0],
+            points[p, 1] - points[v, 1],
+            points[p, 2] - points[v, 2],
+        )
+        along = edge_x * nx + edge_y * ny + edge_z * nz
+        edge_x, edge_y, edge_z = edge_x - along * nx, edge_y - along * ny, edge_z - along * nz
+        length = max(math.sqrt(edge_x * edge_x + edge_y * edge_y + edge_z * edge_z), 1e-12)
+        edge_x, edge_y, edge_z = edge_x / length, edge_y / length, edge_z / length
+        x, y, z = centre[0] - points[v, 0], centre[1] - points[v, 1], centre[2] - points[v, 2]
+        away = max(math.sqrt(x * x + y * y + z * z), 1e-12)
+        x, y, z = x / away, y / away, z / away
+        out[v, 0] = edge_x * x + edge_y * y + edge_z * z
+        out[v, 1] = (
+            (ny * edge_z - nz * edge_y) * x
+            + (nz * edge_x - nx * edge_z) * y
+            + (nx * edge_y - ny * edge_x) * z
+        )
+        out[v, 2] = nx * x + ny * y + nz * z
 
 
 def surface_frames(points: Floats, faces: NDArray[np.integer]) -> Floats:
@@ -157,13 +212,17 @@ def surface_frames(points: Floats, faces: NDArray[np.integer]) -> Floats:
         faces: `[F, 3]`.
     """
     normal = vertex_normals(points, faces)
-    partner = np.arange(len(points))
-    corners, first = np.unique(faces.ravel(), return_index=True)
-    partner[corners] = faces[first // 3, (first + 1) % 3]
-    edge = points[partner] - points
+    edge = points[_partners(len(points), faces)] - points
     edge -= normal * (edge * normal).sum(axis=1, keepdims=True)
     edge /= np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-12)
     return np.stack([edge, np.cross(normal, edge), normal], axis=1)
+
+
+def _partners(count: int, faces: NDArray[np.integer]) -> Ints:
+    partners = np.arange(count)
+    corners, first = np.unique(faces.ravel(), return_index=True)
+    partners[corners] = faces[first // 3, (first + 1) % 3]
+    return partners
 
 
 def _spread(weight: NDArray[np.floating], direction: NDArray[np.floating]) -> Floats:

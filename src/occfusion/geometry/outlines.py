@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from occfusion.cpu.compilation import inline, kernel
+
 Floats = NDArray[np.float64]
 
 BLUR = 1.0
@@ -23,8 +25,6 @@ AWAY_FROM_BORDER = 2.0
 """Pixels from the picture's border within which an edge may be the border itself."""
 SAME_DIRECTION = 0.7
 """Cosine: edges that run another way than the outline are somebody else's, an occluder's for example."""
-MOST_ROWS = 30_000
-"""OpenCV resamples no more than 32766 rows at a time."""
 THINNED = 0.4
 """Share of a long outline's points: they lie two to three pixels apart then, and err less alike."""
 PLASTIC = 1.32471795724474602596
@@ -78,10 +78,8 @@ def outline_offsets(
     middles = np.column_stack([columns + 0.5, rows + 0.5])
     normals = -_gradient(first, middles)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    distances = np.arange(-reach, reach + 0.5 * STEP, STEP)
-    near = distances[np.abs(distances) < NEAR_ITS_PIXEL + 2 * STEP]
-    own = _crossings(first, middles, normals, near, np.zeros(len(middles)))
-    other = _crossings(second, middles, normals, distances, np.nan_to_num(own))
+    own = _crossings(first, middles, normals, min(reach, NEAR_ITS_PIXEL + STEP), np.zeros(len(middles)))
+    other = _crossings(second, middles, normals, reach, np.nan_to_num(own))
     ends = middles + normals * np.nan_to_num(other)[:, None]
     slopes = -_gradient(second, ends)
     cosines = (slopes * normals).sum(axis=1) / np.maximum(np.linalg.norm(slopes, axis=1), 1e-9)
@@ -104,46 +102,67 @@ def _blurred(mask: NDArray[np.generic]) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), BLUR))
 
 
-def _sampled(
-    image: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Returns the image at places `[N, M]` between pixel centres, pixels, bilinearly."""
-    parts = max(1, math.ceil(len(x) / MOST_ROWS))
-    rows = [
-        np.asarray(cv2.remap(image, *part, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
-        for part in zip(np.array_split(x, parts), np.array_split(y, parts), strict=True)
-    ]
-    return rows[0] if parts == 1 else np.concatenate(rows)
-
-
 def _gradient(image: NDArray[np.float32], points: Floats) -> Floats:
-    x, y = (points.T[..., None] - 0.5).astype(np.float32)
-    parts = [
-        np.asarray(cv2.Sobel(image, cv2.CV_32F, *order, ksize=3), np.float32) for order in ((1, 0), (0, 1))
-    ]
-    return np.concatenate([_sampled(part, x, y) for part in parts], axis=1).astype(np.float64)
+    out = np.zeros_like(points)
+    _fill_gradients(image, points, out)
+    return out
 
 
 def _crossings(
-    image: NDArray[np.float32], points: Floats, normals: Floats, distances: Floats, near: Floats
+    image: NDArray[np.float32], points: Floats, normals: Floats, reach: float, near: Floats
 ) -> Floats:
-    """Returns how far along its normal each point's nearest fall through one half lies, `[N]`; NaN where there is none.
+    out = np.full(len(points), np.nan)
+    _fill_crossings(image, points, normals, math.ceil(reach / STEP), near, out)
+    return out
+
+
+@inline
+def _sampled(image: NDArray[np.float32], x: float, y: float) -> float:
+    """Returns the image at a place between pixel centres, bilinearly; beyond its border, what is there."""
+    height, width = image.shape
+    x, y = min(max(x - 0.5, 0.0), width - 1.0), min(max(y - 0.5, 0.0), height - 1.0)
+    column, row = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+    right, below = min(column + 1, width - 1), min(row + 1, height - 1)
+    x, y = x - column, y - row
+    above = (1.0 - x) * image[row, column] + x * image[row, right]
+    return float((1.0 - y) * above + y * ((1.0 - x) * image[below, column] + x * image[below, right]))
+
+
+@kernel
+def _fill_gradients(image: NDArray[np.float32], points: Floats, out: Floats) -> None:
+    """Gives the gradient of a mask at points, by Sobel's weights: eight times that of a step between pixels."""
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        for side in range(-1, 2):
+            weight = 2.0 if side == 0 else 1.0
+            out[k, 0] += weight * (_sampled(image, x + 1.0, y + side) - _sampled(image, x - 1.0, y + side))
+            out[k, 1] += weight * (_sampled(image, x + side, y + 1.0) - _sampled(image, x + side, y - 1.0))
+
+
+@kernel
+def _fill_crossings(
+    image: NDArray[np.float32], points: Floats, normals: Floats, steps: int, near: Floats, out: Floats
+) -> None:
+    """Gives how far along its normal each point's nearest fall through one half lies.
 
     Args:
         image: a blurred mask.
         points: `[N, 2]`.
         normals: `[N, 2]`.
-        distances: sampled, ascending.
+        steps: of `STEP`, that are looked at in either direction.
         near: the crossing nearest to this is taken, `[N]`.
+        out: NaN where there is none, `[N]`.
     """
-    starts, steps = ((part.T[..., None]).astype(np.float32) for part in (points - 0.5, normals))
-    profile = _sampled(image, *(starts + steps * distances.astype(np.float32)))
-    row, step = np.nonzero((profile[:, :-1] >= 0.5) & (profile[:, 1:] < 0.5))
-    left, right = (profile[row, at].astype(np.float64) for at in (step, step + 1))
-    places = distances[step] + STEP * (left - 0.5) / np.maximum(left - right, 1e-9)
-    order = np.lexsort((np.abs(places - near[row]), row))  # the nearest of each point first
-    row, places = row[order], places[order]
-    is_first = np.diff(row, prepend=-1) > 0
-    out = np.full(len(points), np.nan)
-    out[row[is_first]] = places[is_first]
-    return out
+    for k in range(len(points)):
+        x, y, u, v = points[k, 0], points[k, 1], normals[k, 0], normals[k, 1]
+        least = np.inf
+        before = _sampled(image, x - steps * STEP * u, y - steps * STEP * v)
+        for step in range(-steps, steps):
+            along = (step + 1) * STEP
+            behind = _sampled(image, x + along * u, y + along * v)
+            if before >= 0.5 and behind < 0.5:
+                place = step * STEP + STEP * (before - 0.5) / max(before - behind, 1e-9)
+                if abs(place - near[k]) < least:
+                    least = abs(place - near[k])
+                    out[k] = place
+            before = behind

@@ -29,7 +29,7 @@ class AxisAngle(torch.autograd.Function):
         """Returns the matrices."""
         matrices = torch.empty(len(vectors), 3, 3)
         ctx.save_for_backward(vectors)
-        _forward(array_of(vectors), matrices.numpy())
+        fill_rotations(array_of(vectors), matrices.numpy())
         return matrices
 
     @staticmethod
@@ -64,7 +64,8 @@ def _ratios(q: float) -> tuple[float, float, float, float]:
 
 
 @kernel
-def _forward(vectors: Array, matrices: Array) -> None:
+def fill_rotations(vectors: NDArray[Any], matrices: NDArray[Any]) -> None:
+    """Gives rotation matrices `[M, 3, 3]` of axis-angles `[M, 3]`, of either precision; computed in float64."""
     for m in range(len(vectors)):
         x, y, z = np.float64(vectors[m, 0]), np.float64(vectors[m, 1]), np.float64(vectors[m, 2])
         q = x * x + y * y + z * z

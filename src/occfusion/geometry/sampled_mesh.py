@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.geometry.zbuffer import NO_FACE, rasterize_mesh
+from occfusion.geometry.zbuffer import NO_FACE, nearest_faces
 from occfusion.types import Box
 
 SAMPLES = 2
@@ -28,7 +28,13 @@ class SampledMesh:
 
     @classmethod
     def draw(
-        cls, pixels: NDArray[np.floating], depths: NDArray[np.floating], faces: NDArray[np.integer], box: Box
+        cls,
+        pixels: NDArray[np.floating],
+        depths: NDArray[np.floating],
+        faces: NDArray[np.integer],
+        box: Box,
+        *,
+        closed: bool = False,
     ) -> SampledMesh:
         """Returns a mesh inside a box of a picture.
 
@@ -37,10 +43,11 @@ class SampledMesh:
             depths: of the vertices, `[V]`, metres.
             faces: triangles, `[F, 3]`.
             box: of the window: left, top, width, height.
+            closed: as in `nearest_faces`.
         """
         x, y, width, height = box
         moved = SAMPLES * (pixels - np.array([x, y], dtype=np.float64))
-        seen = rasterize_mesh(moved, depths, faces, SAMPLES * width, SAMPLES * height)
+        seen = nearest_faces(moved, depths, faces, SAMPLES * width, SAMPLES * height, closed=closed)
         return cls(seen.face, seen.depth)
 
     @property

@@ -29,7 +29,7 @@ class Kinematics(torch.autograd.Function):
         transforms, turns, places = torch.empty(count, 4, 4), np.empty((count, 3, 3)), np.empty((count, 3))
         ctx.tree, ctx.turns, ctx.places = np.array(parents), turns, places
         ctx.save_for_backward(rotations, joints)
-        _forward(array_of(rotations), array_of(joints), ctx.tree, transforms.numpy(), turns, places)
+        fill_bones(array_of(rotations), array_of(joints), ctx.tree, transforms.numpy(), turns, places)
         return transforms
 
     @staticmethod
@@ -52,14 +52,18 @@ def warm_up() -> None:
 
 
 @kernel
-def _forward(
-    rotations: Array,
-    joints: Array,
+def fill_bones(
+    rotations: NDArray[Any],
+    joints: NDArray[Any],
     parents: Parents,
-    transforms: Array,
+    transforms: NDArray[Any],
     turns: NDArray[np.float64],
     places: NDArray[np.float64],
 ) -> None:
+    """Gives the motion of bones from rest to posed `[J, 4, 4]`, their turns `[J, 3, 3]` and where joints are `[J, 3]`.
+
+    Of either precision; sums are formed in float64.
+    """
     for m in range(len(parents)):
         above = parents[m]
         for i in range(3):

@@ -1,4 +1,4 @@
-"""Whether a point is within a closed surface: the winding number."""
+"""Whether a surface is closed, and whether a point is within it: the winding number."""
 
 from __future__ import annotations
 
@@ -25,3 +25,20 @@ def winding_number(
     dots = [np.einsum("fi,fi->f", p, q) for p, q in ((a, b), (b, c), (c, a))]
     below = la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb
     return float(np.arctan2(triple, below).sum() / (2 * np.pi))
+
+
+def is_closed(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> bool:
+    """Returns whether a surface has no edge, and corners of its triangles run counter-clockwise seen from without.
+
+    Args:
+        vertices: `[V, 3]`.
+        faces: `[F, 3]`.
+    """
+    if not len(faces):
+        return False
+    starts, ends = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
+    there, back = np.sort(starts * len(vertices) + ends), np.sort(ends * len(vertices) + starts)
+    if not np.array_equal(there, back):
+        return False
+    a, b, c = np.moveaxis(vertices[faces].astype(np.float64), 1, 0)
+    return float(np.einsum("fi,fi->", a, np.cross(b, c))) > 0.0

@@ -22,6 +22,7 @@ from occfusion.geometry.coverage import (
 from occfusion.geometry.normals import vertex_normals
 from occfusion.geometry.zbuffer import rasterize_mesh
 from occfusion.human.body import Body
+from occfusion.human.posed_mesh import mesh_poser
 from occfusion.types import Frame
 
 MOSTLY = 0.5
@@ -141,7 +142,7 @@ def body_parts(body: Body) -> NDArray[np.str_]:
 def cover_body(sightings: Iterable[Sighting], body: Body) -> BodyCoverage | None:
     """Returns how well views show a body; None without any view."""
     faces = body.faces.cpu().numpy()
-    coverage = cover(sightings, faces)
+    coverage = cover(sightings, faces, closed=mesh_poser(body).closed)
     if coverage is None:
         return None
     return BodyCoverage(
@@ -152,10 +153,9 @@ def cover_body(sightings: Iterable[Sighting], body: Body) -> BodyCoverage | None
 @torch.no_grad()
 def sighting_of(frame: Frame, body: Body) -> Sighting:
     """Returns a frame's view of the body, in the pose that the data give."""
-    pose, camera = frame.pose.to(body.v_template.device), frame.camera
-    vertices, _ = body(pose.betas, pose.global_orient, pose.body_pose, pose.transl)
+    camera = frame.camera
     return Sighting.through(
-        vertices.double().cpu().numpy(),
+        mesh_poser(body).pose(frame.pose).vertices,
         camera.viewmat.double().cpu().numpy(),
         camera.K.double().cpu().numpy(),
         frame.visible_mask.cpu().numpy(),

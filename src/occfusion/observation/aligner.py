@@ -122,10 +122,15 @@ class Aligner:
         if common is not None:
             self.spreads = common.spreads.copy()
         self.values = np.zeros((self._knots, POSE_COLUMNS))
+        self._solution: Floats | None = None
         self.before = 0.0
 
-    def run(self) -> Alignment | None:
-        """Returns the alignment; None where outlines tell too little."""
+    def run(self, settling: int = SETTLING) -> Alignment | None:
+        """Returns the alignment; None where outlines tell too little.
+
+        Args:
+            settling: looks of all frames, with shift and scale of the pictures known, behind those of a half.
+        """
         picture, picture_error, everyone = np.zeros(3), np.ones(3), range(len(self._looks))
         half, kept = everyone[::2], ~self._left_out
         few = (
@@ -140,7 +145,7 @@ class Aligner:
         if not self._step(few, REACH, True, kept):
             return None
         amount, gain = self._best_amount(few)
-        for _ in range(SETTLING if amount else 0):  # what is not taken need not be found to the end
+        for _ in range(settling if amount else 0):  # what is not taken need not be found to the end
             if not self._step(everyone, REACH, True):
                 return None
         pixel = self._looks[0].pixel
@@ -241,11 +246,15 @@ class Aligner:
         system = OutlineSystem(seen, self._weights, self._patch, self.values, registered, expected)
         if not self.before:
             self.before = 1.4826 * float(np.median(np.abs(system.offsets)))
-        self._weigh(system)
+        if self._solution is None or told is None:
+            self._weigh(system)
+        else:  # about where the last look has left it
+            system.settle(self._solution)
+            self._weigh(system, 1)
         if not spreads:
             self._take(system.solve(self._precision(system)))
             return True
-        solution, variance = self._find_spreads(system)
+        solution, variance = self._find_spreads(system, EVIDENCE_STEPS if told is None else 1)
         few = slice(self._count, self._count + 3)
         as_place = self.spreads[-1] * system.per_metre * np.array([1.0, 1.0, 1.0 / system.focal])
         self._picture = solution[few], np.sqrt(variance[few] + as_place**2)
@@ -255,6 +264,7 @@ class Aligner:
         return True
 
     def _take(self, solution: Floats) -> None:
+        self._solution = solution
         self.values = solution[: self._count].reshape(self._knots, POSE_COLUMNS)
 
     def observe(
@@ -278,16 +288,16 @@ class Aligner:
     def _precision(self, system: OutlineSystem) -> Floats:
         return np.concatenate([self.spreads[self._group] ** -2.0, system.fixed_precision])
 
-    def _weigh(self, system: OutlineSystem) -> None:
+    def _weigh(self, system: OutlineSystem, rounds: int = 2) -> None:
         """Weighs outlines by the residual about their fit."""
-        for _ in range(2):
+        for _ in range(rounds):
             system.weigh()
             system.settle(system.solve(self._precision(system)))
         system.weigh()
 
-    def _find_spreads(self, system: OutlineSystem) -> tuple[Floats, Floats]:
+    def _find_spreads(self, system: OutlineSystem, steps: int = EVIDENCE_STEPS) -> tuple[Floats, Floats]:
         """Makes the spreads likelier; returns the unknowns and their variances."""
-        for _ in range(EVIDENCE_STEPS):
+        for _ in range(steps):
             solution, variance = system.solve_with_variance(self._precision(system))
             self._update_spreads(solution[: self._count], variance[: self._count])
         return solution, variance

@@ -7,14 +7,14 @@ does not show the person is background.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from occfusion.fields.bits import Bits, packed, unpacked
+from occfusion.fields.bits import Bits
 
 Mask = NDArray[np.bool_]
 
@@ -73,33 +73,46 @@ def person_size(body: Mask) -> float:
 
 
 def gather_evidence(bodies: Collection[Mask], visible: Collection[Mask]) -> list[Evidence]:
-    """Returns the evidence of each frame of one camera.
+    """Returns the evidence of frames of one camera, poses judged by themselves.
 
     Args:
         bodies: the body's projection in each frame, bool `[H, W]`.
         visible: the paper's M of each.
     """
-    windows, cores, outside = [], [], []
-    for whole_body, whole_seen in zip(bodies, visible, strict=True):
-        windows.append(window := _window(whole_body, whole_seen))
-        body, seen = whole_body[window], whole_seen[window]
-        hidden, share = _hidden(body, seen, CORE * person_size(body))
-        cores.append((packed(hidden), share))
-        outside.append(_outside_share(body, seen))
-    missed = misfit([miss for miss, (_, share) in zip(outside, cores, strict=True) if share <= HIDDEN_SHARE])
-    fits = missed is not None and missed < FITTING
-    found = []
-    for whole_body, whole_seen, window, (kept, share), miss in zip(
-        bodies, visible, windows, cores, outside, strict=True
-    ):
-        body, seen = whole_body[window], whole_seen[window]
-        own_hidden, size = unpacked(kept), person_size(body)
-        hidden, background, maybe = np.zeros_like(whole_seen), ~whole_seen, np.zeros_like(whole_seen)
-        hidden[window] = own_hidden
-        background[window] = ~seen & ~_unknown(_hidden_part(own_hidden, body, seen, size), seen, size)
-        maybe[window] = _maybe_hidden(body, seen, size, fits)
-        found.append(Evidence(hidden, background, maybe, share, share > HIDDEN_SHARE, miss))
-    return found
+    fits = are_fitting(map(_shares, bodies, visible))
+    return [evidence_of(body, seen, fits=fits) for body, seen in zip(bodies, visible, strict=True)]
+
+
+def _shares(whole_body: Mask, whole_seen: Mask) -> tuple[float, float]:
+    """Returns `Evidence.hidden_share` and `outside_share` of a frame."""
+    window = _window(whole_body, whole_seen)
+    body, seen = whole_body[window], whole_seen[window]
+    return _hidden(body, seen, CORE * person_size(body))[1], _outside_share(body, seen)
+
+
+def are_fitting(shares: Iterable[tuple[float, float]]) -> bool:
+    """Returns whether poses need no mending, by `Evidence.hidden_share` and `outside_share` of frames."""
+    missed = misfit([outside for hidden, outside in shares if hidden <= HIDDEN_SHARE])
+    return missed is not None and missed < FITTING
+
+
+def evidence_of(whole_body: Mask, whole_seen: Mask, *, fits: bool) -> Evidence:
+    """Returns the evidence of a frame.
+
+    Args:
+        whole_body: the body's projection, bool `[H, W]`.
+        whole_seen: the paper's M.
+        fits: whether poses need no mending: `are_fitting`.
+    """
+    window = _window(whole_body, whole_seen)
+    body, seen = whole_body[window], whole_seen[window]
+    size = person_size(body)
+    own_hidden, share = _hidden(body, seen, CORE * size)
+    hidden, background, maybe = np.zeros_like(whole_seen), ~whole_seen, np.zeros_like(whole_seen)
+    hidden[window] = own_hidden
+    background[window] = ~seen & ~_unknown(_hidden_part(own_hidden, body, seen, size), seen, size)
+    maybe[window] = _maybe_hidden(body, seen, size, fits)
+    return Evidence(hidden, background, maybe, share, share > HIDDEN_SHARE, _outside_share(body, seen))
 
 
 def _window(body: Mask, seen: Mask) -> tuple[slice, slice]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 import torch
@@ -16,8 +16,16 @@ from occfusion.fields.bits import PackedMasks
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.sampled_mesh import SampledMesh, box_of
 from occfusion.human.body import Body
+from occfusion.human.posed_mesh import mesh_poser
 from occfusion.observation.consistency import ProjectedMesh
-from occfusion.observation.evidence import FITTING, Evidence, gather_evidence, misfit
+from occfusion.observation.evidence import (
+    FITTING,
+    Evidence,
+    are_fitting,
+    evidence_of,
+    gather_evidence,
+    misfit,
+)
 from occfusion.observation.keypoints import face_vertices, keypoints_3d
 from occfusion.types import Camera, Frame, Pose
 
@@ -25,6 +33,8 @@ Mask = NDArray[np.bool_]
 
 LATELY_POSED = 8
 """Bodies that are kept: whoever goes through a video asks for a frame's several times, and for its neighbours'."""
+JUDGED = 200
+"""Frames that decisions go by, evenly spread."""
 
 
 @dataclass(frozen=True)
@@ -112,70 +122,141 @@ class ObservedFrame:
         )
 
 
+class ObservedFrames(Sequence[ObservedFrame]):
+    """What is known of the training frames; each is looked at when it is asked for, and remembered.
+
+    Decisions go by some of a long video. What a step needs of one of the others is found when it comes to it.
+
+    Args:
+        indices: numbers of the frames in the sequence.
+        look: looks at the frame of a position.
+        sample: positions of the frames that decisions go by.
+    """
+
+    def __init__(
+        self, indices: Sequence[int], look: Callable[[int], ObservedFrame], sample: Sequence[int]
+    ) -> None:
+        self.indices, self.sample, self._look = tuple(indices), list(sample), look
+        self.positions = {index: position for position, index in enumerate(self.indices)}
+        self._found: dict[int, ObservedFrame] = {}
+
+    @classmethod
+    def of(cls, frames: Sequence[ObservedFrame]) -> ObservedFrames:
+        """Returns frames that were looked at, all of which decisions go by."""
+        return cls([frame.index for frame in frames], frames.__getitem__, range(len(frames)))
+
+    def __len__(self) -> int:
+        """How many frames are trained on."""
+        return len(self.indices)
+
+    @overload
+    def __getitem__(self, position: int) -> ObservedFrame: ...
+    @overload
+    def __getitem__(self, position: slice) -> list[ObservedFrame]: ...
+    def __getitem__(self, position: int | slice) -> ObservedFrame | list[ObservedFrame]:
+        """Returns what is known of the frame at a position.
+
+        Raises:
+            DataError: its body is nowhere in the picture.
+        """
+        if isinstance(position, slice):
+            return [self[k] for k in range(len(self))[position]]
+        place = range(len(self))[position]
+        if place not in self._found:
+            self._found[place] = self._look(place)
+        return self._found[place]
+
+    @property
+    def judged(self) -> list[ObservedFrame]:
+        """The frames that decisions go by, in order."""
+        return [self[k] for k in self.sample]
+
+    def changed(self, change: Callable[[ObservedFrame], ObservedFrame]) -> ObservedFrames:
+        """Returns the same frames, each of them changed when it is asked for."""
+        return ObservedFrames(self.indices, lambda position: change(self[position]), self.sample)
+
+
 @torch.no_grad()
-def observe_frames(frames: Iterable[Frame], body: Body) -> list[ObservedFrame]:
+def observe_frames(read: Callable[[int], Frame], indices: Sequence[int], body: Body) -> ObservedFrames:
     """Returns what masks and poses say of the training frames of one camera.
 
+    Args:
+        read: gives the frame at a position.
+        indices: numbers of the frames in the sequence.
+        body: of their poses.
+
     Raises:
-        DataError: the body of a frame is nowhere in the picture.
+        DataError: the body of a frame that decisions go by is nowhere in the picture.
     """
-    face, faces = face_vertices(body), body.faces.cpu().numpy()
+    count, face = len(indices), face_vertices(body)
+    sample = np.linspace(0, count - 1, min(JUDGED, count)).round().astype(int).tolist()
     bodies, seen = PackedMasks(), PackedMasks()
-    known: list[tuple[int, Callable[[], PosedBody]]] = []
-    views: list[tuple[Pose, Camera]] = []
+    views: dict[int, tuple[Pose, Camera]] = {}
 
     @lru_cache(LATELY_POSED)
     def posed_at(position: int) -> PosedBody:
         return _pose(body, *views[position], face)
 
-    for frame in frames:
-        camera = frame.camera.to("cpu")
-        posed = partial(posed_at, len(views))
-        views.append((frame.pose.to("cpu"), camera))
-        pixels, depths = (projected := posed().projected).pixels, projected.depths
-        x, y, w, h = box = box_of(pixels, camera.width, camera.height)
-        covered = np.zeros((camera.height, camera.width), np.bool_)
-        covered[y : y + h, x : x + w] = SampledMesh.draw(pixels, depths, faces, box).coverage > 0.5
-        if not covered.any():
-            raise DataError(
-                f"frame {frame.name}: the body lies outside the picture or behind the camera; check its "
-                f"parameters, or leave the frame out with dataset.train_frames"
-            )
-        bodies.put(len(known), covered)
-        seen.put(len(known), frame.visible_mask.cpu().numpy())
-        known.append((frame.index, posed))
-    evidence = gather_evidence(bodies.values(), seen.values())
-    return [ObservedFrame(index, posed, found) for (index, posed), found in zip(known, evidence, strict=True)]
+    def masks_at(position: int) -> tuple[Mask, Mask]:
+        frame = read(position)
+        views[position] = frame.pose.to("cpu"), frame.camera.to("cpu")
+        return _covered(frame, posed_at(position).projected, body), frame.visible_mask.cpu().numpy()
+
+    for position in sample:
+        covered, visible = masks_at(position)
+        bodies.put(position, covered)
+        seen.put(position, visible)
+    sampled = dict(zip(sample, gather_evidence(bodies.values(), seen.values()), strict=True))
+    fits = are_fitting((own.hidden_share, own.outside_share) for own in sampled.values())
+
+    @torch.no_grad()
+    def look(position: int) -> ObservedFrame:
+        evidence = sampled.get(position) or evidence_of(*masks_at(position), fits=fits)
+        return ObservedFrame(indices[position], partial(posed_at, position), evidence)
+
+    return ObservedFrames(indices, look, sample)
+
+
+def _covered(frame: Frame, projected: ProjectedMesh, body: Body) -> Mask:
+    """Returns the pixels of a frame that the body covers by more than half, `[H, W]`."""
+    (height, width), poser = frame.visible_mask.shape, mesh_poser(body)
+    x, y, w, h = box = box_of(projected.pixels, width, height)
+    drawn = SampledMesh.draw(projected.pixels, projected.depths, poser.faces, box, closed=poser.closed)
+    covered = np.zeros((height, width), np.bool_)
+    covered[y : y + h, x : x + w] = drawn.coverage > 0.5
+    if not covered.any():
+        raise DataError(
+            f"frame {frame.name}: the body lies outside the picture or behind the camera; check its "
+            f"parameters, or leave the frame out with dataset.train_frames"
+        )
+    return covered
 
 
 @torch.no_grad()
 def _pose(body: Body, pose: Pose, camera: Camera, face: tuple[int, ...]) -> PosedBody:
-    own = pose.to(body.v_template.device)
-    vertices, joints = (
-        part.double().cpu() for part in body(own.betas, own.global_orient, own.body_pose, own.transl)
-    )
+    mesh = mesh_poser(body).pose(pose)
     pixels, depths = project_vertices(
-        vertices.numpy(), camera.viewmat.double().numpy(), camera.K.double().numpy()
+        mesh.vertices, camera.viewmat.double().numpy(), camera.K.double().numpy()
     )
-    points = keypoints_3d(vertices, joints, face).numpy()
-    return PosedBody(vertices.numpy(), points, ProjectedMesh(pixels, depths))
+    points = keypoints_3d(torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.joints), face).numpy()
+    return PosedBody(mesh.vertices, points, ProjectedMesh(pixels, depths))
 
 
-def misfit_of(observed_frames: Sequence[ObservedFrame] | None) -> tuple[float, int] | None:
+def misfit_of(observed_frames: ObservedFrames | None) -> tuple[float, int] | None:
     """Returns how much of the body lies outside the mask, and in how many frames; None where these are too few.
 
     A share, the median of the frames that show a whole person.
     """
     whole = [
         observed_frame.evidence
-        for observed_frame in observed_frames or ()
+        for observed_frame in (() if observed_frames is None else observed_frames.judged)
         if not observed_frame.evidence.occluded
     ]
     missed = misfit([own.outside_share for own in whole])
     return None if missed is None else (missed, len(whole))
 
 
-def poses_fit(observed_frames: Sequence[ObservedFrame] | None) -> bool:
+def poses_fit(observed_frames: ObservedFrames | None) -> bool:
     """Returns whether poses need no mending, as far as the video tells."""
     measured = misfit_of(observed_frames)
     return measured is not None and measured[0] < FITTING

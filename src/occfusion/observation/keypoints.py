@@ -84,8 +84,7 @@ def keypoints_3d(vertices: Tensor, joints: Tensor, face: tuple[int, ...]) -> Ten
         face: the five vertices of `face_vertices`.
     """
     out = vertices.new_empty(NUM_KEYPOINTS, 3)
-    for keypoint, joint in _BODY_JOINTS.items():
-        out[keypoint] = joints[joint]
+    out[list(_BODY_JOINTS)] = joints[list(_BODY_JOINTS.values())]
     out[1] = 0.5 * (joints[_SHOULDERS[0]] + joints[_SHOULDERS[1]])
     out[list(_FACE)] = vertices[list(face)]
     return out

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
+from occfusion.cpu.compilation import kernel
 from occfusion.observation.arrow_system import ArrowFactor
 from occfusion.observation.pose_witness import POSE_COLUMNS, Witness
 
@@ -94,6 +94,7 @@ class OutlineSystem:
                 own -= self._alike_part(w, expected[0])
         if expected is not None:
             self.fixed_precision = np.maximum(self.fixed_precision, 1.0 / expected[1])
+        self._rows = [np.concatenate([w.turns, _few(w)], axis=1) for _, w in seen]
         self._residual = self.offsets - np.median(self.offsets)
         self.noise = NOISE
         self.row_weights = np.ones(len(self.offsets))
@@ -157,24 +158,16 @@ class OutlineSystem:
         diagonal = np.zeros(patches)
         for n, (k, w) in enumerate(self._seen):
             own = slice(self._ends[n], self._ends[n + 1])
-            rows, place = np.concatenate([w.turns, _few(w)], axis=1), self._patch[w.vertices]
+            rows, place = self._rows[n], self._patch[w.vertices]
             weighted = rows * self.row_weights[own, None]
             block, part = weighted.T @ rows, weighted.T @ self._targets[own]
-            by_place = (
-                csr_array((w.per_metre, (place, np.arange(len(place)))), shape=(patches, len(place)))
-                @ weighted
-            )
             pull = self.row_weights[own] * w.per_metre
             active = np.flatnonzero(self._spline_weights[k])
-            for a in active:
-                wa = self._spline_weights[k, a]
-                right[a * size : (a + 1) * size] += wa * part[:size]
-                border[a, :, few] += wa * block[:size, size:]
-                border[a, :, places] += wa * by_place[:, :size].T
-                for b in active[active >= a]:
-                    near[a, b - a] += wa * self._spline_weights[k, b] * block[:size, :size]
+            by_place = np.zeros((rows.shape[1], patches))
+            _add_by_place(place, w.per_metre, weighted, by_place)
+            _add_by_knots(active, self._spline_weights[k], block, part, by_place, near, border, right)
             corner[few, few] += block[size:, size:]
-            corner[few, places] += by_place[:, size:].T
+            corner[few, places] += by_place[size:]
             diagonal += np.bincount(place, pull * w.per_metre, patches)
             extra[few] += part[size:]
             extra[places] += np.bincount(place, pull * self._targets[own], patches)
@@ -203,34 +196,98 @@ class OutlineSystem:
         misfit = float((self.row_weights * (self._targets - self._predicted(solution)) ** 2).sum())
         return -0.5 * (misfit + float((precision * solution**2).sum()) + factor.log_determinant())
 
+    def _scaled(self, rows: range, columns: range, scale: Floats) -> Floats:
+        """Returns the block of some knots by others, in units of their scale."""
+        out = np.empty((len(rows), POSE_COLUMNS, len(columns), POSE_COLUMNS))
+        _join(self._near, rows.start, columns.start, scale, out)
+        return out.reshape(len(rows) * POSE_COLUMNS, len(columns) * POSE_COLUMNS)
+
     def _factor(self, precision: Floats) -> tuple[ArrowFactor, Floats]:
         # in units of the prior's spread the system is well scaled whatever it is
         scale = precision**-0.5
         knots, extra = scale[: self.count].reshape(self.knots, -1), scale[self.count :]
-        near = self._near.copy()
-        for step in range(min(COUPLED, self.knots)):
-            near[: self.knots - step, step] *= knots[: self.knots - step, :, None] * knots[step:, None, :]
         border = self._border * knots[..., None] * extra
         diagonal, below, edges = [], [], []
         groups = [range(a, min(a + COUPLED - 1, self.knots)) for a in range(0, self.knots, COUPLED - 1)]
         for own, following in pairwise([*groups, range(0)]):
-            diagonal.append(_joined(near, own, own) + np.eye(len(own) * POSE_COLUMNS))
+            diagonal.append(self._scaled(own, own, knots))
+            diagonal[-1].ravel()[:: len(diagonal[-1]) + 1] += 1.0
             edges.append(border[own.start : own.stop].reshape(len(own) * POSE_COLUMNS, len(extra)))
             if following:
-                below.append(_joined(near, following, own))
+                below.append(self._scaled(following, own, knots))
         corner = self._corner * extra[:, None] * extra + np.eye(len(extra))
         return ArrowFactor(diagonal, below, edges, corner), scale
 
 
-def _joined(near: Floats, rows: range, columns: range) -> Floats:
-    """Returns the block of some knots by others; what lies farther than the spline reaches is zero."""
-    size = near.shape[-1]
-    out = np.zeros((len(rows), size, len(columns), size))
-    for i, a in enumerate(rows):
-        for j, b in enumerate(columns):
-            if abs(a - b) < COUPLED:
-                out[i, :, j] = near[a, b - a] if b >= a else near[b, a - b].T
-    return out.reshape(len(rows) * size, len(columns) * size)
+@kernel
+def _add_by_place(places: Ints, per_metre: Floats, weighted: Floats, out: Floats) -> None:
+    """Adds rows of points to the columns of the places that they are of, `[columns, places]`."""
+    for n in range(len(places)):
+        for column in range(weighted.shape[1]):
+            out[column, places[n]] += per_metre[n] * weighted[n, column]
+
+
+@kernel
+def _add_by_knots(
+    active: Ints,
+    weights: Floats,
+    block: Floats,
+    part: Floats,
+    by_place: Floats,
+    near: Floats,
+    border: Floats,
+    right: Floats,
+) -> None:
+    """Adds a frame's equations to those of the knots that it knows.
+
+    Args:
+        active: these knots, ascending.
+        weights: how much each knot counts, `[K]`.
+        block: of the knots' columns, then those of what is alike in all frames but places.
+        part: right side of the same.
+        by_place: the same columns by places.
+        near: of knots by those that follow, `[K, COUPLED, columns, columns]`.
+        border: of knots by what is alike, `[K, columns, extra]`.
+        right: right side.
+    """
+    size, few, patches = near.shape[2], block.shape[0] - near.shape[2], by_place.shape[1]
+    for a in active:
+        for i in range(size):
+            right[a * size + i] += weights[a] * part[i]
+            for j in range(few):
+                border[a, i, j] += weights[a] * block[i, size + j]
+            for j in range(patches):
+                border[a, i, few + j] += weights[a] * by_place[i, j]
+        for b in active:
+            if b < a:
+                continue
+            share = weights[a] * weights[b]
+            for i in range(size):
+                for j in range(size):
+                    near[a, b - a, i, j] += share * block[i, j]
+
+
+@kernel
+def _join(near: Floats, first_row: int, first_column: int, scale: Floats, out: Floats) -> None:
+    """Gives the block of some knots by others, in units of their scale `[K, columns]`.
+
+    Args:
+        near: of knots by those that follow, `[K, COUPLED, columns, columns]`.
+        first_row: of the knots of the rows.
+        first_column: of the knots of the columns.
+        scale: of each unknown, `[K, columns]`.
+        out: `[rows, columns, columns of the knots, columns]`; what lies farther than the spline reaches is zero.
+    """
+    for i in range(out.shape[0]):
+        for j in range(out.shape[2]):
+            a, b = first_row + i, first_column + j
+            for p in range(out.shape[1]):
+                for q in range(out.shape[3]):
+                    if b >= a:
+                        value = near[a, b - a, p, q] if b - a < COUPLED else 0.0
+                    else:
+                        value = near[b, a - b, q, p] if a - b < COUPLED else 0.0
+                    out[i, p, j, q] = value * scale[a, p] * scale[b, q]
 
 
 def _few(w: Witness) -> Floats:

@@ -1,28 +1,23 @@
-"""What a mask says of a pose: where its outline lies beside the posed body's, and which turns would move it there.
-
-The derivatives are those of linear blend skinning, written out. Pose blend shapes are left out of them: they move an
-outline by less than they can be told.
-"""
+"""What a mask says of a pose: where its outline lies beside the posed body's, and which turns would move it there."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from occfusion.files.bodyfile import NUM_JOINTS
 from occfusion.geometry.camera import project_vertices
 from occfusion.geometry.outlines import outline_offsets
 from occfusion.geometry.sampled_mesh import SampledMesh, box_of
-from occfusion.geometry.zbuffer import rasterize_mesh
+from occfusion.geometry.zbuffer import nearest_faces
 from occfusion.human.body import Body
+from occfusion.human.posed_mesh import mesh_poser
 from occfusion.observation.evidence import person_size
 from occfusion.types import Camera, Frame, Pose
 
@@ -125,14 +120,15 @@ def observe_outline(
         correction: turns multiplied from the right, axis-angles `[24, 3]`, and a shift `[3]`, metres.
         reach: farthest offset that is looked for, of the person's size.
     """
-    figure = _Figure(body, look.pose, *correction)
+    poser = mesh_poser(body)
+    mesh = poser.pose(look.pose, *correction)
     viewmat, K = (part.double().cpu().numpy() for part in (look.camera.viewmat, look.camera.K))
-    pixels, depth = project_vertices(figure.vertices, viewmat, K)
-    faces = _Arrays(body).faces
+    pixels, depth = project_vertices(mesh.vertices, viewmat, K)
     height, width = look.seen.shape
     x, y, w, h = box = box_of(pixels, width, height)
-    drawn = SampledMesh.draw(pixels, depth, faces, box)
-    size = person_size(drawn.coverage > 0.5)
+    drawn = SampledMesh.draw(pixels, depth, poser.faces, box, closed=poser.closed)
+    covered = drawn.coverage
+    size = person_size(covered > 0.5)
     if size < 8.0:
         return None
     farthest = max(reach * size, 3.0)
@@ -141,20 +137,20 @@ def observe_outline(
     left, top = max(0, x - room), max(0, y - room)
     seen = look.seen[top : y + h + room, left : x + w + room]
     coverage = np.zeros(seen.shape, np.float32)
-    coverage[y - top : y - top + h, x - left : x - left + w] = drawn.coverage
+    coverage[y - top : y - top + h, x - left : x - left + w] = covered
     found = outline_offsets(coverage, seen, farthest, look.points)
     ends = found.points + found.normals * (found.offsets[:, None] + 1.5)
     column, row = np.clip(ends.astype(int), 0, [seen.shape[1] - 1, seen.shape[0] - 1]).T
     kept = ~_hidden(coverage > 0.5, seen, size)[row, column]
     if kept.sum() < 10:
         return None
-    vertices = faces[drawn.face_at(found.pixels[kept] - [y - top, x - left]), 0]
+    vertices = poser.faces[drawn.face_at(found.pixels[kept] - [y - top, x - left]), 0]
     normals, points = found.normals[kept], found.points[kept] + [left, top]
     per_metre = K[0, 0] / depth[vertices]
     # the derivative of a projected point by its place in the world, along the normal
     inwards = ((points - K[:2, 2]) * normals).sum(axis=1) / K[0, 0]
     moves = per_metre[:, None] * (normals @ viewmat[:2, :3] - inwards[:, None] * viewmat[2, :3])
-    by_turns, by_shape = figure.derivatives(vertices, moves)
+    by_turns, by_shape = poser.derivatives(mesh, vertices, moves)
     return Witness(
         offsets=found.offsets[kept],
         turns=np.concatenate([by_turns, moves], axis=1),
@@ -184,18 +180,17 @@ def misfits(
     """
     found, area = [], 1
     counted = np.zeros_like(look.seen)
-    faces = _Arrays(body).faces
+    poser = mesh_poser(body)
+    viewmat, K = (part.double().cpu().numpy() for part in (look.camera.viewmat, look.camera.K))
     for number, correction in enumerate(corrections):
-        figure = _Figure(body, look.pose, *correction)
-        viewmat, K = (part.double().cpu().numpy() for part in (look.camera.viewmat, look.camera.K))
-        pixels, depth = project_vertices(figure.vertices, viewmat, K)
+        pixels, depth = project_vertices(poser.pose(look.pose, *correction).vertices, viewmat, K)
         height, width = look.seen.shape
-        face = rasterize_mesh(pixels, depth, faces, width, height).face
+        face = nearest_faces(pixels, depth, poser.faces, width, height, closed=poser.closed).face
         covered = face >= 0
         if number == 0:
             area = max(1, int(covered.sum()))
             counted = ~_hidden(covered, look.seen, person_size(covered))
-            counted &= places[faces[:, 0]][_spread(face.astype(np.int64), covered)]
+            counted &= places[poser.faces[:, 0]][_spread(face.astype(np.int64), covered)]
         found.append(float(((covered ^ look.seen) & counted).sum()) / area)
     return np.array(found)
 
@@ -218,100 +213,3 @@ def _hidden(body: Mask, seen: Mask, size: float) -> Mask:
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     core = cv2.morphologyEx((body & ~seen).astype(np.uint8), cv2.MORPH_OPEN, disk)
     return cv2.dilate(np.asarray(core), disk).astype(bool)
-
-
-@lru_cache(2)
-class _Arrays:
-    """A body's numbers in float64: asked for each frame of a sequence, several times."""
-
-    def __init__(self, body: Body) -> None:
-        self.weights, self.template, self.joints, self.directions, self.joint_directions = (
-            part.double().cpu().numpy()
-            for part in (body.weights, body.v_template, body.joint_template, body.shapedirs, body.joint_dirs)
-        )
-        self.faces = np.ascontiguousarray(body.faces.cpu().numpy(), np.int32)
-        self._rest: tuple[bytes, Floats, Floats] | None = None
-
-    def rest(self, betas: Floats) -> tuple[Floats, Floats]:
-        """Returns vertices and joints of a shape; that of the last call, which is that of the sequence, is kept."""
-        key, kept = betas.tobytes(), self._rest
-        if kept is None or kept[0] != key:
-            vertices = self.template + self.directions[..., : len(betas)] @ betas
-            joints = self.joints + self.joint_directions[..., : len(betas)] @ betas
-            self._rest = kept = key, vertices, joints
-        return kept[1:]  # of this call: several threads ask
-
-
-class _Figure:
-    """A posed body, and how its vertices move with turns, place and shape. All in float64.
-
-    `Body` gives the same vertices, and is its test. A body is posed some hundred times before training begins, and
-    this takes half of the time (docs/experiments/058-long-videos-again.md).
-    """
-
-    def __init__(self, body: Body, pose: Pose, turns: Floats, shift: Floats) -> None:
-        self._body, self._arrays = body, (arrays := _Arrays(body))
-        given = torch.cat([pose.global_orient.reshape(1, 3), pose.body_pose.reshape(-1, 3)])
-        rotations = (
-            Rotation.from_rotvec(given.double().cpu().numpy()) * Rotation.from_rotvec(turns)
-        ).as_matrix()
-        betas = body.check_betas(pose.betas).double().cpu().numpy()
-        points, self._joints = arrays.rest(betas)
-        self._rest = points
-        self._turns, self._shifts = _bones(rotations, self._joints, body.parents)
-        self._place = pose.transl.double().cpu().numpy() + shift
-        if body.posedirs is not None:
-            offsets = body.pose_offsets(torch.from_numpy(rotations).to(body.v_template))
-            points = points + offsets.double().cpu().numpy()
-        bones = np.concatenate([self._turns.reshape(NUM_JOINTS, 9), self._shifts], axis=1)
-        maps = arrays.weights @ bones
-        self.vertices = np.einsum("vij,vj->vi", maps[:, :9].reshape(-1, 3, 3), points)
-        self.vertices += maps[:, 9:] + self._place
-
-    def derivatives(self, chosen: NDArray[np.int64], along: Floats) -> tuple[Floats, Floats]:
-        """Returns how far vertices move along directions with each turn `[N, 72]` and each shape component `[N, B]`.
-
-        Args:
-            chosen: vertices, `[N]`.
-            along: the direction of each, `[N, 3]`.
-        """
-        weights, rest = self._arrays.weights[chosen], self._rest[chosen]
-        parents = self._body.parents
-        # where each bone alone would have the vertices, less the joint it turns about, summed over what hangs on it
-        share = weights.T.copy()
-        arms = share[:, None] * (self._turns @ rest.T + self._shifts[..., None])
-        for joint in range(NUM_JOINTS - 1, 0, -1):
-            arms[parents[joint]] += arms[joint]
-            share[parents[joint]] += share[joint]
-        joints = np.einsum("kij,kj->ki", self._turns, self._joints) + self._shifts
-        arms -= share[:, None] * joints[..., None]
-        # a turn multiplied from the right turns about an axis of the joint as it stands, and
-        # direction . (axis x arm) = axis . (arm x direction)
-        (x, y, z), (u, v, w) = np.swapaxes(arms, 0, 1), along.T
-        moments = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
-        by_turns = (np.swapaxes(self._turns, 1, 2) @ moments).reshape(-1, len(chosen)).T
-        return by_turns, np.einsum("nc,nbc->nb", along, self._by_shape(weights, chosen))
-
-    def _by_shape(self, weights: Floats, chosen: NDArray[np.int64]) -> Floats:
-        body = self._body
-        directions, joint_dirs = self._arrays.directions[chosen], self._arrays.joint_directions
-        # places of joints are linear in joints at rest; the root stays where it is at rest
-        moved = np.empty_like(joint_dirs)
-        moved[0] = joint_dirs[0]
-        for joint in range(1, NUM_JOINTS):
-            parent = body.parents[joint]
-            moved[joint] = moved[parent] + self._turns[parent] @ (joint_dirs[joint] - joint_dirs[parent])
-        shifts = moved - np.einsum("kij,kjb->kib", self._turns, joint_dirs)
-        linear = (weights @ self._turns.reshape(NUM_JOINTS, 9)).reshape(-1, 3, 3)
-        out = np.einsum("nij,njb->nib", linear, directions) + np.einsum("nk,kib->nib", weights, shifts)
-        return np.swapaxes(out, 1, 2)
-
-
-def _bones(rotations: Floats, joints: Floats, parents: Sequence[int]) -> tuple[Floats, Floats]:
-    """Returns the motion of each bone from rest to posed: turns `[24, 3, 3]` and shifts `[24, 3]`."""
-    turns, places = rotations.copy(), joints.copy()
-    for joint in range(1, len(parents)):
-        parent = parents[joint]
-        turns[joint] = turns[parent] @ rotations[joint]
-        places[joint] = places[parent] + turns[parent] @ (joints[joint] - joints[parent])
-    return turns, places - (turns @ joints[..., None])[..., 0]

@@ -22,9 +22,9 @@ from occfusion.observation.pose_witness import Look
 
 ONE_SYSTEM = 240
 """Frames that are looked at, and a sequence with more is aligned piece by piece."""
-PILOT, BLOCK = 64, 8
+PILOT, BLOCK = 48, 8
 """Looks of the parts that tell what is alike, and of one of them."""
-PIECE, OVERLAP = 64, 4
+PIECE, OVERLAP = 104, 4
 """Knots of a piece, and those beyond either end that are found with it and not taken."""
 
 
@@ -49,7 +49,7 @@ def align_sequence(
     pilot = Aligner(
         [look_at(positions[k]) for k in pilot_positions(len(positions))], body, spline, registered=registered
     )
-    told = pilot.run()
+    told = pilot.run(settling=1)  # pieces go on from there
     if told is None or not told.is_taken:
         return told
     turns, places, share = np.zeros_like(told.turns), np.zeros_like(told.places), np.zeros_like(told.told)

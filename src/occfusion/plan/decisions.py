@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from occfusion.data.sampling import evenly
 from occfusion.data.scene_registration import SceneRegistration
 from occfusion.human.observability import ObservedSurface
 from occfusion.observation.evidence import FITTING
-from occfusion.observation.frames import ObservedFrame, misfit_of
+from occfusion.observation.frames import ObservedFrames, misfit_of
 from occfusion.observation.light import Light
 from occfusion.observation.pose_alignment import Alignment
 from occfusion.settings.schema import Settings
@@ -74,7 +73,7 @@ def is_alignment_asked(settings: Settings) -> bool:
 
 
 def network_decisions(
-    settings: Settings, observed_frames: Sequence[ObservedFrame] | None, alignment: Alignment | None = None
+    settings: Settings, observed_frames: ObservedFrames | None, alignment: Alignment | None = None
 ) -> list[Decision]:
     """Returns the decisions on pose refinement, corrections frame by frame, and the skinning network, in this order.
 
@@ -217,13 +216,13 @@ def densification_decision(stage: str, settings: AvatarSettings, steps: int) -> 
     return Decision(part, True, f"{reason}; rounds at steps {', '.join(map(str, rounds))} of {steps}")
 
 
-def box_reason(observed_frames: Sequence[ObservedFrame] | None) -> str:
+def box_reason(observed_frames: ObservedFrames | None) -> str:
     """Returns how much of the pictures is rendered, where that is known."""
     reason = "rendered crops hold every Gaussian"
     if not observed_frames:
         return reason
     shares = []
-    for observed_frame in evenly(observed_frames, BOXES_MEASURED):
+    for observed_frame in evenly(observed_frames.judged, BOXES_MEASURED):
         height, width = observed_frame.evidence.hidden.shape
         pixels = observed_frame.projected.pixels
         low = np.clip(pixels.min(axis=0) - BOX_PADDING, 0, (width, height))

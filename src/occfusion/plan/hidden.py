@@ -10,7 +10,7 @@ import numpy as np
 from occfusion.files.run_folder import STAGES
 from occfusion.human.coverage import BodyCoverage
 from occfusion.observation.evidence import HIDDEN_SHARE
-from occfusion.observation.frames import ObservedFrame, poses_fit
+from occfusion.observation.frames import ObservedFrames, poses_fit
 from occfusion.observation.pose_alignment import Alignment
 from occfusion.plan.decisions import Decision, may_leave_to_refinement
 from occfusion.settings.schema import Settings, stages_to_run
@@ -31,7 +31,7 @@ LARGEST_WEIGHT = 0.8
 """Of masks that stand for others: what 20 for 80 had when it was tried (docs/experiments/049-long-videos.md)."""
 
 
-def stage_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
+def stage_decisions(settings: Settings, observed_frames: ObservedFrames | None) -> list[Decision]:
     """Returns the decisions on the stages, in order."""
     decisions = []
     for stage in STAGES:
@@ -48,22 +48,21 @@ def stage_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame]
 
 
 def mask_decision(
-    settings: Settings, observed_frames: Sequence[ObservedFrame] | None, most: int | None = None
+    settings: Settings, observed_frames: ObservedFrames | None, most: int | None = None
 ) -> Decision:
     """Returns whether any mask is completed; `most` is of `masks_at_most`."""
     if observed_frames is None or "init" not in settings.variant.stages:
         return Decision("complete masks", False, f"variant {settings.variant.name} trains on visible masks")
-    reason, count = _hidden_reason(observed_frames), _occluded(observed_frames)
+    reason, count = _hidden_reason(observed_frames), _all_occluded(observed_frames)
     if most is not None:
-        reason += (
-            f"; {most} of {count} are completed, evenly spread (init.max_frames): other frames tell better"
-        )
+        them = f"{most} of {count}" if count == _occluded(observed_frames) else f"{most} of about {count}"
+        reason += f"; {them} are completed, evenly spread (init.max_frames): other frames tell better"
     return Decision("complete masks", count > 0, reason)
 
 
 def masks_at_most(
     settings: Settings,
-    observed_frames: Sequence[ObservedFrame] | None,
+    observed_frames: ObservedFrames | None,
     hidden: Sequence[HiddenSettings],
     inpainter: Decision,
 ) -> int | None:
@@ -83,12 +82,12 @@ def masks_at_most(
     is_trained = any(stage != "init" for stage in stages_to_run(settings))
     counts_fully = any(of_stage.effective_weight == 1.0 for of_stage in hidden)
     are_all_needed = inpainter.used or counts_fully or are_asked or not is_trained
-    if most is None or observed_frames is None or are_all_needed or _occluded(observed_frames) <= most:
+    if most is None or observed_frames is None or are_all_needed or _all_occluded(observed_frames) <= most:
         return None
     return most
 
 
-def inpainting_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
+def inpainting_decision(settings: Settings, observed_frames: ObservedFrames | None) -> Decision:
     """Returns whether any frame is inpainted."""
     if observed_frames is None or "refine" not in settings.variant.stages:
         return Decision("inpainting", False, f"variant {settings.variant.name} does not need it")
@@ -119,7 +118,7 @@ def reference_decision(settings: Settings, inpainting: Decision) -> Decision:
     return Decision(part, True, reason)
 
 
-def generated_decision(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> Decision:
+def generated_decision(settings: Settings, observed_frames: ObservedFrames | None) -> Decision:
     """The term on what was inpainted has nothing to look at where nothing was."""
     weight = settings.refine.references.weight
     used, reason = weight > 0, f"refine.references.weight = {weight:g}"
@@ -128,7 +127,7 @@ def generated_decision(settings: Settings, observed_frames: Sequence[ObservedFra
     return Decision("loss term gen in refine", used, reason)
 
 
-def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] | None) -> list[Decision]:
+def sds_decisions(settings: Settings, observed_frames: ObservedFrames | None) -> list[Decision]:
     """Returns the decisions on the two terms of score distillation, `sds_pose` and `sds_can`, in this order.
 
     Where no frame is occluded, neither has anything to add to what is seen. Nor has either where occluded frames
@@ -139,14 +138,14 @@ def sds_decisions(settings: Settings, observed_frames: Sequence[ObservedFrame] |
     reasons = [f"optim.sds.lambda_{name} = {getattr(sds, f'lambda_{name}'):g}" for name in ("pose", "can")]
     used = [sds.lambda_pose > 0, sds.lambda_can > 0]
     if used[0] and sds.where == "hidden" and observed_frames is not None:
-        hidden = sum(bool(observed_frame.evidence.hidden.any()) for observed_frame in observed_frames)
-        reasons[0] += f"; {hidden} of {len(observed_frames)} training frames have hidden pixels to push"
+        hidden = sum(bool(own.evidence.hidden.any()) for own in observed_frames.judged)
+        reasons[0] += f"; {hidden} of {_frames(observed_frames)} have hidden pixels to push"
         used[0] = hidden > 0
     if observed_frames is not None and not _occluded(observed_frames):
         reasons = [f"{reason}; {_hidden_reason(observed_frames)}" for reason in reasons]
         used = [False, False]
     elif observed_frames is not None and any(used) and may_leave_to_refinement(settings):
-        shares = [f.evidence.hidden_share for f in observed_frames if f.evidence.occluded]
+        shares = [f.evidence.hidden_share for f in observed_frames.judged if f.evidence.occluded]
         median = float(np.median(shares))
         if median <= MOSTLY_HIDDEN:
             known = f"masks are completed, and half of the {len(shares)} occluded frames show at least"
@@ -171,7 +170,7 @@ def completion_decision(settings: Settings, coverage: BodyCoverage | None) -> De
 
 
 def hidden_policies(
-    settings: Settings, observed_frames: Sequence[ObservedFrame] | None, alignment: Alignment | None = None
+    settings: Settings, observed_frames: ObservedFrames | None, alignment: Alignment | None = None
 ) -> tuple[HiddenSettings, HiddenSettings]:
     """Returns what hidden pixels are held to in the optimisation and in the refinement, target and weight decided.
 
@@ -195,7 +194,7 @@ def hidden_policies(
 
 
 def weighed_for_few(
-    hidden: HiddenSettings, observed_frames: Sequence[ObservedFrame] | None, most: int | None
+    hidden: HiddenSettings, observed_frames: ObservedFrames | None, most: int | None
 ) -> HiddenSettings:
     """Returns what the optimisation holds hidden pixels to where some masks stand for all: each counts for others too.
 
@@ -208,7 +207,7 @@ def weighed_for_few(
         return hidden
     weight = hidden.effective_weight
     return replace(
-        hidden, weight=max(weight, min(LARGEST_WEIGHT, weight * _occluded(observed_frames) / most))
+        hidden, weight=max(weight, min(LARGEST_WEIGHT, weight * _all_occluded(observed_frames) / most))
     )
 
 
@@ -216,7 +215,7 @@ def hidden_mask_decision(
     stage: str,
     settings: Settings,
     hidden: HiddenSettings,
-    observed_frames: Sequence[ObservedFrame] | None,
+    observed_frames: ObservedFrames | None,
     alignment: Alignment | None = None,
 ) -> Decision:
     """Returns whether the mask term counts fully on hidden pixels: what is there, other frames may tell better.
@@ -254,17 +253,31 @@ def _is_taken(alignment: Alignment | None) -> bool:
     return alignment is not None and alignment.is_taken
 
 
-def with_everything(observed_frames: Sequence[ObservedFrame]) -> list[ObservedFrame]:
+def with_everything(observed_frames: ObservedFrames) -> ObservedFrames:
     """Returns the observed_frames with each frame counted as occluded, for `plan=full`."""
-    return [replace(frame, evidence=replace(frame.evidence, occluded=True)) for frame in observed_frames]
+    return observed_frames.changed(
+        lambda frame: replace(frame, evidence=replace(frame.evidence, occluded=True))
+    )
 
 
-def _occluded(observed_frames: Sequence[ObservedFrame]) -> int:
-    return sum(observed_frame.evidence.occluded for observed_frame in observed_frames)
+def _occluded(observed_frames: ObservedFrames) -> int:
+    """Returns how many of the frames that decisions go by are occluded."""
+    return sum(observed_frame.evidence.occluded for observed_frame in observed_frames.judged)
 
 
-def _hidden_reason(observed_frames: Sequence[ObservedFrame]) -> str:
-    hiding = sum(observed_frame.evidence.hidden_share > HIDDEN_SHARE for observed_frame in observed_frames)
-    frames = f"{hiding} of {len(observed_frames)} training frames"
+def _all_occluded(observed_frames: ObservedFrames) -> int:
+    """Returns how many of all frames are occluded, by those that decisions go by."""
+    return round(_occluded(observed_frames) * len(observed_frames) / max(1, len(observed_frames.sample)))
+
+
+def _frames(observed_frames: ObservedFrames) -> str:
+    """Returns how many frames decisions go by, in words."""
+    judged = len(observed_frames.sample)
+    return f"{judged} training frames" + ("" if judged == len(observed_frames) else ", evenly spread,")
+
+
+def _hidden_reason(observed_frames: ObservedFrames) -> str:
+    hiding = sum(own.evidence.hidden_share > HIDDEN_SHARE for own in observed_frames.judged)
+    frames = f"{hiding} of {_frames(observed_frames)}"
     all_taken = "; plan=full takes all of them for occluded" if _occluded(observed_frames) > hiding else ""
     return f"{frames} hide more than {HIDDEN_SHARE:.0%} of the body{all_taken}"

@@ -14,7 +14,7 @@ import torch
 from occfusion.data.scene_registration import SceneRegistration
 from occfusion.human.coverage import BodyCoverage
 from occfusion.human.observability import ObservedSurface
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrames
 from occfusion.observation.light import Light
 from occfusion.observation.pose_alignment import Alignment
 from occfusion.perceptual import training_dtype
@@ -104,7 +104,7 @@ def make_plan(
     settings: Settings,
     summary: Mapping[str, Any],
     backend: str,
-    observed_frames: Sequence[ObservedFrame] | None = None,
+    observed_frames: ObservedFrames | None = None,
     light: Light | None = None,
     registered: SceneRegistration | None = None,
     surface: ObservedSurface | None = None,

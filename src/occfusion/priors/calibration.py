@@ -7,7 +7,7 @@ body then counts for much, a poor one for little, and loose clothes are met wher
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from occfusion.data.sampling import spread
 from occfusion.human.body import Body
 from occfusion.observation.clothes import CLOTHES_VIEWS, NEAR, measure_thickness, outline_of
 from occfusion.observation.evidence import Evidence, person_size
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrame, ObservedFrames
 from occfusion.priors.logistic import fit_logistic, sigmoid
 from occfusion.priors.masks import MaskPrior, checked_probability
 from occfusion.types import Camera, Frame
@@ -85,7 +85,7 @@ def _features(probability: NDArray[np.floating], depth_inside: Floats) -> Floats
 
 
 def calibrate(
-    prior: MaskPrior, observed_frames: Sequence[ObservedFrame], read: Callable[[int], Frame], body: Body
+    prior: MaskPrior, observed_frames: ObservedFrames, read: Callable[[int], Frame], body: Body
 ) -> Calibration:
     """Returns the calibration of a prior to a scene; the prior's answer is left as it is where nothing can be learnt.
 
@@ -97,8 +97,9 @@ def calibrate(
     """
     looks = spread(len(observed_frames), CLOTHES_VIEWS)
     thickness = measure_thickness(observed_frames, read, body, looks)
-    occluded = [k for k, observed_frame in enumerate(observed_frames) if observed_frame.evidence.occluded]
-    shown = sorted(range(len(observed_frames)), key=lambda k: observed_frames[k].evidence.hidden_share)
+    judged = observed_frames.sample
+    occluded = [k for k in judged if observed_frames[k].evidence.occluded]
+    shown = sorted(judged, key=lambda k: observed_frames[k].evidence.hidden_share)
     shown = sorted(shown[: 2 * FRAMES])
     chosen = shown[:: max(1, len(shown) // FRAMES)][:FRAMES]
     rng = np.random.default_rng(0)

@@ -23,6 +23,7 @@ from occfusion.run.folder import at_work, finished_in, identify, record_finished
 from occfusion.run.keepsakes import write_before_after, write_turntable
 from occfusion.run.prepare import Run, build, claim, decide, make_renderer, observe
 from occfusion.run.prior import run_prior_training
+from occfusion.run.sequence import record_sequence
 from occfusion.settings.schema import PRIOR_STAGE, load_settings, stages_to_run
 from occfusion.stages.loggers import check_logger
 
@@ -93,6 +94,7 @@ def _run_and_evaluate(run_: Run) -> dict[str, Any]:
     settings, folder = own.settings, own.folder
     if is_helper():
         return {}
+    record_sequence(folder, own.data, settings)  # of all frames, also of those that no step saw
     if stages_to_run(settings) == ["init"]:  # nothing is trained yet that could be evaluated
         print(f"run folder: {folder.path}")
         return {}

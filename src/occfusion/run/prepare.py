@@ -24,7 +24,7 @@ from occfusion.human.rendering import Renderer
 from occfusion.inpaint.build_inpainter import check_inpainter
 from occfusion.inpaint.completion_net import check_completion_net
 from occfusion.observation.clothes import CLOTHES_VIEWS, measure_clothes
-from occfusion.observation.frames import ObservedFrame, observe_frames
+from occfusion.observation.frames import ObservedFrames, observe_frames
 from occfusion.observation.light import Light, observe_light
 from occfusion.observation.pose_alignment import Alignment, aligned_pose
 from occfusion.observation.pose_witness import Look
@@ -41,15 +41,14 @@ from occfusion.run.folder import claim_run_folder
 from occfusion.run.init import complete_masks
 from occfusion.run.optim import optimise
 from occfusion.run.refine import refine
-from occfusion.run.sequence import record_sequence
 from occfusion.run.training import AvatarTraining
 from occfusion.settings.schema import Settings
 from occfusion.stages.init import frames_to_complete
 from occfusion.stages.targets import UncertainMasks
 from occfusion.types import Frame
 
-COVERAGE_VIEWS = 300
-"""Training views that the body is held against at most, evenly spread; at 256 px a view takes about 20 ms."""
+COVERAGE_VIEWS = 200
+"""Training views that the body is held against at most, evenly spread; at 256 px a view takes about 4 ms."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class Observed:
     data: HumanDataModule
     summary: dict[str, Any]
     registered: SceneRegistration | None
-    frames: list[ObservedFrame] | None
+    frames: ObservedFrames | None
     light: Light | None
     coverage: BodyCoverage | None
     surface: ObservedSurface | None
@@ -229,7 +228,7 @@ def _observe_surface(
     data: HumanDataModule,
     body: Body,
     coverage: BodyCoverage,
-    observed_frames: Sequence[ObservedFrame],
+    observed_frames: ObservedFrames,
 ) -> ObservedSurface:
     vertices, faces = body.da_vertices().cpu().numpy(), body.faces.cpu().numpy()
     known = observe_surface(coverage.coverage, vertices, faces)
@@ -245,10 +244,10 @@ def _observe_surface(
 
 def observe_training_frames(
     data: HumanDataModule, body: Body, read: Callable[[int], Frame] | None = None
-) -> list[ObservedFrame]:
-    """Returns what masks and poses say of all training frames, as `read` gives them, or as the data do."""
+) -> ObservedFrames:
+    """Returns what masks and poses say of the training frames, as `read` gives them, or as the data do."""
     read = _aligned_reader(data, body, None) if read is None else read
-    return observe_frames((read(k) for k in range(len(data.train_indices))), body)
+    return observe_frames(read, data.train_indices, body)
 
 
 # --- decide ------------------------------------------------------------------------------------------------
@@ -295,7 +294,6 @@ def claim(
         seen = None if observed.coverage is None else observed.coverage.json()
         write_json(folder.plan, plan.json() | {"coverage": seen, "scene": observed.summary, "idle": [*idle]})
         observed.data.store_occlusion(folder.occlusion)
-        record_sequence(folder, observed.data, settings)
         _tell("data", observed.data.taken.lines())
         if observed.coverage is not None:
             _tell("directions", [observed.coverage.text(), *observed.coverage.warnings()])
@@ -326,7 +324,7 @@ def build(settings: Settings, observed: Observed, plan: Plan, folder: RunFolder)
         precision = training_dtype(settings.perceptual.precision, device)
         metric = perceptual.with_dtype(precision)
         evaluating = evaluation_metric(settings.evaluation, perceptual)
-    frames = observed.frames or []
+    frames = ObservedFrames.of([]) if observed.frames is None else observed.frames
     completed = frames_to_complete(frames, plan.settings.init.max_frames) if "init" in plan.stages else None
     alignment = observed.alignment
     training = AvatarTraining(

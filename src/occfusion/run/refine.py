@@ -76,8 +76,8 @@ def _outlines(training: AvatarTraining, avatar: Avatar) -> Masks:
     outlines = PackedMasks()
     avatar.eval()
     visited = _visited(training)
-    for position, observed_frame in enumerate(training.observed_frames):
-        if position in visited and observed_frame.index in training.uncertain.hidden:
+    for position, index in enumerate(training.observed_frames.indices):
+        if position in visited and index in training.uncertain.hidden:
             frame = training.data.train_frame(position, truth=False)
             outlines.put(frame.index, training.renderer.outline(avatar, frame).cpu().numpy())
     return outlines
@@ -94,7 +94,7 @@ def _visited(training: AvatarTraining) -> frozenset[int]:
 
 
 def _is_any_occluded(training: AvatarTraining) -> bool:
-    return any(observed_frame.evidence.occluded for observed_frame in training.observed_frames)
+    return any(observed_frame.evidence.occluded for observed_frame in training.observed_frames.judged)
 
 
 def repaint_unseen(training: AvatarTraining, avatar: Avatar) -> Accumulated:

@@ -29,7 +29,7 @@ from occfusion.human.rendering import Renderer
 from occfusion.human.virtual_views import VIEWS, VirtualViews
 from occfusion.inpaint.accumulation import Accumulated, accumulate, sharpened
 from occfusion.inpaint.completion import ColorCompleter, write_completion
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrames
 from occfusion.perceptual import PerceptualMetric
 from occfusion.run.environment import accelerator_of
 from occfusion.settings.schema import Settings
@@ -46,7 +46,7 @@ from occfusion.stages.surface import SurfacePrior
 from occfusion.stages.targets import UncertainMasks
 from occfusion.types import Camera, Frame, Pose, Truth
 
-LOOKED_AT = 200
+LOOKED_AT = 120
 """Frames at most that say what colours Gaussians start with, and how fast they learn."""
 SHARPENED_FROM = 40
 """Frames at most that say what accumulated colours lack."""
@@ -182,7 +182,7 @@ class AvatarTraining:
     body: Body
     data_hash: str
     held_out_hash: str
-    observed_frames: Sequence[ObservedFrame]
+    observed_frames: ObservedFrames
     uncertain: UncertainMasks
     surface: ObservedSurface | None
     metric: PerceptualMetric | None

@@ -46,7 +46,7 @@ class InitSettings:
     )
     calibrate: bool = setting(True, "fit the prior's answers to the scene on what the scene shows")
     max_frames: int | None = setting(
-        120,
+        100,
         "of more occluded frames so many are completed, evenly spread, where other frames tell better; null: all",
         1,
         MANY,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
@@ -17,7 +17,7 @@ from occfusion.human.avatar import Avatar
 from occfusion.human.body import Body
 from occfusion.human.rendering import Renderer
 from occfusion.observation.crop import CANONICAL_ANGLES, PersonView, Square, view_canonical, view_observation
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrames
 from occfusion.priors.distillation import time_at
 from occfusion.priors.score import Draw, ScorePrior, distil
 from occfusion.settings.stages import SdsSettings
@@ -67,7 +67,7 @@ class Distiller(Generic[T]):
         settings: SdsSettings,
         *,
         steps: int,
-        observed_frames: Sequence[ObservedFrame],
+        observed_frames: ObservedFrames,
         body: Body,
         renderer: Renderer,
         seed: int,
@@ -78,7 +78,7 @@ class Distiller(Generic[T]):
         self.body = body
         self._renderer = renderer
         self.seed = seed
-        self._observed_frames = {observed_frame.index: observed_frame for observed_frame in observed_frames}
+        self._observed_frames = observed_frames
         self._views: OrderedDict[Hashable, _Prepared[T]] = OrderedDict()
 
     def terms(self, avatar: Avatar, frame: Frame, alpha: Tensor, box: Box, step: int) -> dict[str, Tensor]:
@@ -143,7 +143,8 @@ class Distiller(Generic[T]):
 
     def _posed_view(self, frame: Frame) -> _Prepared[T]:
         def make() -> tuple[Square, PersonView]:
-            observation = self._observed_frames[frame.index].observation(frame, self.body)
+            observed_frame = self._observed_frames[self._observed_frames.positions[frame.index]]
+            observation = observed_frame.observation(frame, self.body)
             return view_observation(observation, self.prior.size)
 
         return self._remembered(frame.index, make)

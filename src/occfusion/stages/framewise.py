@@ -15,7 +15,7 @@ from occfusion.errors import CheckpointError
 from occfusion.files.atomic import write_json
 from occfusion.files.digest import changed, digests
 from occfusion.files.run_folder import FrameFolder, read_json
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrames
 from occfusion.stages.base import Stage
 from occfusion.stages.interruption import Interrupted, SignalGuard
 from occfusion.stages.progress import FrameProgress
@@ -38,11 +38,11 @@ class FramewiseStage(Stage):
     """
 
     def __init__(
-        self, folder: FrameFolder, identity: dict[str, Any], observed_frames: Sequence[ObservedFrame]
+        self, folder: FrameFolder, identity: dict[str, Any], observed_frames: ObservedFrames
     ) -> None:
         super().__init__()
         self.folder, self.identity, self.observed_frames = folder, identity, observed_frames
-        self._positions = {observed_frame.index: k for k, observed_frame in enumerate(observed_frames)}
+        self._positions = observed_frames.positions
         self.records = self._earlier()
 
     @property

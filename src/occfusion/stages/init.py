@@ -15,7 +15,7 @@ from occfusion.files.images import read_mask
 from occfusion.files.run_folder import FrameFolder, frame_name
 from occfusion.human.body import Body
 from occfusion.observation.consistency import body_flow, smoothed, warped_iou
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrames
 from occfusion.priors.calibration import Calibration, calibrate
 from occfusion.priors.masks import MaskPrior, checked_probability, with_what_is_known
 from occfusion.settings.stages import InitSettings
@@ -26,17 +26,21 @@ REMEMBERED = 3
 """Positions to either side whose probabilities are kept for smoothing."""
 
 
-def frames_to_complete(observed_frames: Sequence[ObservedFrame], most: int | None) -> list[int]:
+def frames_to_complete(observed_frames: ObservedFrames, most: int | None) -> list[int]:
     """Returns positions of the frames that are given complete masks: all, or of more occluded ones so many.
 
     Args:
         observed_frames: of all training frames, in order.
         most: occluded frames, evenly spread; frames of a whole person are left out then. None: all frames.
     """
-    occluded = [k for k, observed_frame in enumerate(observed_frames) if observed_frame.evidence.occluded]
-    if most is None or len(occluded) <= most:
-        return list(range(len(observed_frames)))
-    return evenly(occluded, most)
+    every = range(len(observed_frames))
+    if most is None:
+        return list(every)
+    for positions in (observed_frames.sample, every):  # all are looked at where some do not suffice
+        occluded = [k for k in positions if observed_frames[k].evidence.occluded]
+        if len(occluded) > most:
+            return evenly(occluded, most)
+    return list(every)
 
 
 class InitStage(FramewiseStage):
@@ -62,7 +66,7 @@ class InitStage(FramewiseStage):
         self,
         prior: MaskPrior,
         body: Body,
-        observed_frames: Sequence[ObservedFrame],
+        observed_frames: ObservedFrames,
         read: Callable[[int], Frame],
         settings: InitSettings,
         folder: FrameFolder,
@@ -80,7 +84,8 @@ class InitStage(FramewiseStage):
     @property
     def wanted(self) -> list[int]:
         """Positions of the frames that are not written yet."""
-        return [k for k in self._chosen if frame_name(self.observed_frames[k].index) not in self.records]
+        indices = self.observed_frames.indices
+        return [k for k in self._chosen if frame_name(indices[k]) not in self.records]
 
     @torch.no_grad()
     def predict_step(self, frame: Frame, _batch_idx: int) -> dict[str, Any]:
@@ -171,9 +176,9 @@ class InitStage(FramewiseStage):
         faces = self._body[0].faces.cpu().numpy()
         scores = []
         for k in self._chosen:
-            before, now = self.observed_frames[k - 1], self.observed_frames[k]
-            if k - 1 not in self._chosen or not now.evidence.occluded:
+            if k - 1 not in self._chosen or not self.observed_frames[k].evidence.occluded:
                 continue
+            before, now = self.observed_frames[k - 1], self.observed_frames[k]
             mask, earlier = (
                 read_mask(self.folder.picture(observed_frame.index)) for observed_frame in (now, before)
             )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from occfusion.human.avatar import Avatar
 from occfusion.human.rendering import Renderer
 from occfusion.inpaint.accumulation import Accumulated
 from occfusion.inpaint.partial import CoarsePictures, Inpainter, checked_picture, take_partial
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrames
 from occfusion.stages.framewise import FramewiseStage
 from occfusion.stages.references import References
 from occfusion.types import Frame
@@ -46,7 +45,7 @@ class InpaintStage(FramewiseStage):
         self,
         inpainter: Inpainter,
         avatar: Avatar,
-        observed_frames: Sequence[ObservedFrame],
+        observed_frames: ObservedFrames,
         folder: FrameFolder,
         identity: dict[str, Any],
         renderer: Renderer,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,9 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from occfusion.fields.bits import PackedMasks
 from occfusion.geometry.boxes import crop
-from occfusion.observation.frames import ObservedFrame
+from occfusion.observation.frames import ObservedFrames
 from occfusion.types import Box, Frame
 
 
@@ -50,28 +49,59 @@ class UncertainMasks:
 
     @classmethod
     def found(
-        cls, observed_frames: Sequence[ObservedFrame], completed: Collection[int] | None = None
+        cls, observed_frames: ObservedFrames, completed: Collection[int] | None = None
     ) -> UncertainMasks:
-        """Returns where masks and poses of the training frames leave complete masks uncertain.
+        """Returns where masks and poses of the training frames leave complete masks uncertain, when that is asked.
 
         Args:
             observed_frames: of all training frames, in order.
             completed: positions of those that are given complete masks; None: of all, or no stage makes any.
         """
-        hidden, assumed_background = PackedMasks(), PackedMasks()
-        for position, observed_frame in enumerate(observed_frames):
-            own = observed_frame.evidence
-            maybe = own.maybe_hidden
-            if maybe.any():
-                is_asked = completed is None or position in completed
-                hidden.put(observed_frame.index, maybe)
-                assumed_background.put(observed_frame.index, maybe & own.background if is_asked else maybe)
-        return cls(hidden, assumed_background)
+
+        def hidden(position: int) -> NDArray[np.bool_]:
+            return observed_frames[position].evidence.maybe_hidden
+
+        def assumed_background(position: int) -> NDArray[np.bool_]:
+            is_asked = completed is None or position in completed
+            return (
+                hidden(position) & observed_frames[position].evidence.background
+                if is_asked
+                else hidden(position)
+            )
+
+        return cls(_Uncertain(observed_frames, hidden), _Uncertain(observed_frames, assumed_background))
 
     def of(self, frame: Frame, box: Box, unseen: Tensor | None = None) -> Tensor | None:
         """Returns the uncertain pixels of a window but those of `unseen`, bool `[h, w]`; None for a whole person."""
         found = _window(self.hidden, frame, box)
         return found if found is None or unseen is None else found & ~unseen
+
+
+class _Uncertain(Mapping[int, NDArray[np.bool_]]):
+    """Masks of the frames that leave something uncertain; each is made when it is asked for.
+
+    Args:
+        observed_frames: of all training frames, in order.
+        make: gives the mask at a position.
+    """
+
+    def __init__(self, observed_frames: ObservedFrames, make: Callable[[int], NDArray[np.bool_]]) -> None:
+        self._frames, self._make = observed_frames, make
+
+    def __getitem__(self, frame: int) -> NDArray[np.bool_]:
+        if frame not in self:
+            raise KeyError(frame)
+        return self._make(self._frames.positions[frame])
+
+    def __contains__(self, frame: object) -> bool:
+        position = self._frames.positions.get(frame)  # type: ignore[call-overload]
+        return position is not None and bool(self._frames[position].evidence.maybe_hidden.any())
+
+    def __iter__(self) -> Iterator[int]:
+        return (frame for frame in self._frames.indices if frame in self)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 def mask_weights(
