@@ -88,6 +88,18 @@ def test_looks_are_the_cosines_of_what_a_line_of_sight_reaches(angle):
     assert (found > 0).sum() > 30
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.0])
+def test_directions_are_those_to_the_camera_in_the_frame_of_each_place(angle):
+    points, faces = two_balls()
+    centre = -viewmat(angle)[:3, :3].T @ viewmat(angle)[:3, 3]
+    towards = centre - points
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    wanted = np.array(
+        [frame @ own for frame, own in zip(surface_frames(points, faces), towards, strict=True)]
+    )
+    np.testing.assert_allclose(looks(view(points, angle), faces)[1], wanted, atol=1e-12)
+
+
 def test_a_closed_body_is_seen_the_same_where_its_back_is_left_out():
     points, faces = two_balls()
     views = [view(points, angle) for angle in (0.0, 0.3, 2.0, np.pi)]

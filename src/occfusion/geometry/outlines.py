@@ -79,22 +79,28 @@ def outline_offsets(
     normals = -_gradient(first, middles)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     own = _crossings(first, middles, normals, min(reach, NEAR_ITS_PIXEL + STEP), np.zeros(len(middles)))
-    other = _crossings(second, middles, normals, reach, np.nan_to_num(own))
-    ends = middles + normals * np.nan_to_num(other)[:, None]
+    # comparisons with NaN, which stands for an edge that was not found, are false
+    known = np.flatnonzero(np.abs(own) < NEAR_ITS_PIXEL)
+    pixels = np.column_stack([rows, columns])[known]
+    middles, normals, own = middles[known], normals[known], own[known]
+    other = _crossings(second, middles, normals, reach, own)
+    found = np.flatnonzero(np.abs(other) <= reach)
+    pixels, middles, normals, own, other = (
+        pixels[found], middles[found], normals[found], own[found], other[found]
+    )  # fmt: skip
+    ends = middles + normals * other[:, None]
     slopes = -_gradient(second, ends)
     cosines = (slopes * normals).sum(axis=1) / np.maximum(np.linalg.norm(slopes, axis=1), 1e-9)
     height, width = seen.shape
     is_inside = (ends > AWAY_FROM_BORDER).all(axis=1) & (
         ends < np.array([width, height]) - AWAY_FROM_BORDER
     ).all(axis=1)
-    # comparisons with NaN, which stands for an edge that was not found, are false
-    is_found = (np.abs(own) < NEAR_ITS_PIXEL) & (np.abs(other) <= reach)
-    kept = np.flatnonzero(is_found & is_inside & (cosines > SAME_DIRECTION))
+    kept = np.flatnonzero(is_inside & (cosines > SAME_DIRECTION))
     return OutlineOffsets(
-        points=(middles + normals * np.nan_to_num(own)[:, None])[kept],
+        points=(middles + normals * own[:, None])[kept],
         normals=normals[kept],
         offsets=(other - own)[kept],
-        pixels=np.column_stack([rows, columns])[kept],
+        pixels=pixels[kept],
     )
 
 

@@ -52,20 +52,19 @@ class MeshPoser:
         body: the body.
         faces: triangles, int32 `[F, 3]`.
         closed: whether they enclose the mesh (`is_closed`).
-        weights: of skinning, `[V, 24]`.
         directions: of shape components, `[V, 3, B]`.
         joint_directions: of the joints, `[24, 3, B]`.
     """
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.weights, self._template, self._joints, self.directions, self.joint_directions = (
+        weights, self._template, self._joints, self.directions, self.joint_directions = (
             part.double().cpu().numpy()
             for part in (body.weights, body.v_template, body.joint_template, body.shapedirs, body.joint_dirs)
         )
         self.faces = np.ascontiguousarray(body.faces.cpu().numpy(), np.int32)
         self.closed = is_closed(self._template, self.faces)
-        sparse = csr_array(self.weights)
+        sparse = csr_array(weights)
         self._sparse = sparse.indptr.astype(np.int64), sparse.indices.astype(np.int64), sparse.data
         self._parents = np.array(body.parents, np.int64)
         self._rest: tuple[bytes, Floats, Floats] | None = None

@@ -37,7 +37,7 @@ HELD_OUT_SETTINGS = ("test_cameras", "test_frames")
 PRIOR_STAGE = "prior"
 """The stage that trains a prior; it has no data set and no avatar."""
 LEAST_SEEN = 300
-"""Training frames that are looked at however few the steps are: what is measured of a video looks at so many."""
+"""Training frames that are looked at however few the steps are: what is measured of a video looks at up to 240."""
 
 
 @dataclass

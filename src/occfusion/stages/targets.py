@@ -58,18 +58,11 @@ class UncertainMasks:
             completed: positions of those that are given complete masks; None: of all, or no stage makes any.
         """
 
-        def hidden(position: int) -> NDArray[np.bool_]:
-            return observed_frames[position].evidence.maybe_hidden
-
-        def assumed_background(position: int) -> NDArray[np.bool_]:
+        def assumed_background(position: int, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
             is_asked = completed is None or position in completed
-            return (
-                hidden(position) & observed_frames[position].evidence.background
-                if is_asked
-                else hidden(position)
-            )
+            return hidden & observed_frames[position].evidence.background if is_asked else hidden
 
-        return cls(_Uncertain(observed_frames, hidden), _Uncertain(observed_frames, assumed_background))
+        return cls(_Uncertain(observed_frames), _Uncertain(observed_frames, assumed_background))
 
     def of(self, frame: Frame, box: Box, unseen: Tensor | None = None) -> Tensor | None:
         """Returns the uncertain pixels of a window but those of `unseen`, bool `[h, w]`; None for a whole person."""
@@ -82,20 +75,22 @@ class _Uncertain(Mapping[int, NDArray[np.bool_]]):
 
     Args:
         observed_frames: of all training frames, in order.
-        make: gives the mask at a position.
+        part: gives the mask, by a position and what may be hidden there; None: all that may be.
     """
 
-    def __init__(self, observed_frames: ObservedFrames, make: Callable[[int], NDArray[np.bool_]]) -> None:
-        self._frames, self._make = observed_frames, make
+    def __init__(
+        self,
+        observed_frames: ObservedFrames,
+        part: Callable[[int, NDArray[np.bool_]], NDArray[np.bool_]] | None = None,
+    ) -> None:
+        self._frames, self._part = observed_frames, part
 
     def __getitem__(self, frame: int) -> NDArray[np.bool_]:
-        if frame not in self:
+        position = self._frames.positions[frame]
+        hidden = self._frames[position].evidence.maybe_hidden
+        if not hidden.any():
             raise KeyError(frame)
-        return self._make(self._frames.positions[frame])
-
-    def __contains__(self, frame: object) -> bool:
-        position = self._frames.positions.get(frame)  # type: ignore[call-overload]
-        return position is not None and bool(self._frames[position].evidence.maybe_hidden.any())
+        return hidden if self._part is None else self._part(position, hidden)
 
     def __iter__(self) -> Iterator[int]:
         return (frame for frame in self._frames.indices if frame in self)
