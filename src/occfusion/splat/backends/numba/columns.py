@@ -127,9 +127,9 @@ def flatten(has_covariances: bool, v: Any) -> None:
 @step
 def fill(v: Any) -> None:
     """Fills the columns with ones, for the places where no Gaussian will come."""
-    numbers = v.ravel()
-    for k in range(numbers.shape[0]):
-        numbers[k] = 1
+    for j in range(v.shape[0]):
+        for k in range(PART):
+            v[j, k] = 1
 
 
 @step
@@ -153,18 +153,19 @@ def transpose(table: Any, spare: Any) -> None:
     A perfect shuffle moves the highest digit of a number's place to the end; four are the digits of a row. Neighbours
     stay together, so it is vector code: a loop over rows and columns would go number by number.
     """
-    one, other = table.ravel(), spare.ravel()
     for _ in range(2):
-        shuffle(one, other)
-        shuffle(other, one)
+        shuffle(table, spare)
+        shuffle(spare, table)
 
 
 @inline
 def shuffle(source: Any, target: Any) -> None:
-    """Writes the two halves of `source`, of `BASIS_SIZE * PART` numbers, to `target` in turn."""
-    half = BASIS_SIZE * PART // 2
-    for i in range(half):
-        target[2 * i], target[2 * i + 1] = source[i], source[half + i]
+    """Writes the numbers of the two halves of `source`, row after row, to `target` in turn; both are square."""
+    half = BASIS_SIZE // 2
+    for j in range(half):
+        for k in range(half):
+            target[2 * j, 2 * k], target[2 * j, 2 * k + 1] = source[j, k], source[half + j, k]
+            target[2 * j + 1, 2 * k], target[2 * j + 1, 2 * k + 1] = source[j, half + k], source[half + j, half + k]
 
 
 # Columns that only this pass has: the sums over pairs in their order, the splat's factor, and gradients.

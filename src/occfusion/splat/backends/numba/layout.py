@@ -15,9 +15,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import carray, from_dtype, types
+from numba import from_dtype, types
 from numba.core import cgutils
 from numba.extending import intrinsic
+from numba.np.arrayobj import make_array, populate_array
 
 from occfusion.cpu.compilation import inline
 
@@ -70,27 +71,27 @@ def new_planes() -> np.ndarray:
     return planes.ravel()
 
 
-def _local_memory(size: int, element: Any) -> Any:
-    @intrinsic
-    def memory(_: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return cgutils.alloca_once(builder, context.get_value_type(element), size=size)
-
-        return types.CPointer(element)(), generate
-
-    return memory
-
-
 def local_array(shape: tuple[int, ...], dtype: Any) -> Any:
     """Returns a helper for kernels that returns an uninitialised array of this shape and type, of a few kB at most.
 
     Nothing else can point to it, which the compiler sees: loops over it become vector code without a check for
     overlaps, and what is summed there lane by lane stays in registers.
     """
-    memory = _local_memory(math.prod(shape), from_dtype(np.dtype(dtype)))
+    dtype = np.dtype(dtype)
+    kind = types.Array(from_dtype(dtype), len(shape), "C")
+    strides = [math.prod(shape[axis + 1 :]) * dtype.itemsize for axis in range(len(shape))]
 
-    @inline
-    def array() -> Any:
-        return carray(memory(), shape)
+    @intrinsic
+    def array(_: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            def sizes(values: Any) -> Any:
+                return [context.get_constant(types.intp, value) for value in values]
+
+            memory = cgutils.alloca_once(builder, context.get_data_type(kind.dtype), size=math.prod(shape))
+            made = make_array(kind)(context, builder)
+            populate_array(made, memory, sizes(shape), sizes(strides), sizes([dtype.itemsize])[0], meminfo=None)
+            return made._getvalue()
+
+        return kind(), generate
 
     return array
