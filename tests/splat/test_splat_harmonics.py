@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -55,8 +56,9 @@ def test_kernels_agree(degree: int) -> None:
         expected = torch.autograd.grad((values @ weights).sum(), d)[0]
     padded = np.zeros(16)
     padded[: len(weights)] = weights.numpy()
+    fill, gradient = numba.njit(fill_basis), numba.njit(direction_gradient)  # as kernels compile them
     for i, (x, y, z) in enumerate(d.tolist()):
         out = np.zeros(16)
-        fill_basis(x, y, z, degree, out)
+        fill(x, y, z, degree, out)
         assert np.allclose(out[: values.shape[-1]], values[i].detach().numpy(), atol=1e-14)
-        assert np.allclose(direction_gradient(x, y, z, degree, padded), expected[i].numpy(), atol=1e-12)
+        assert np.allclose(gradient(x, y, z, degree, padded), expected[i].numpy(), atol=1e-12)

@@ -229,15 +229,46 @@ def test_other_limits() -> None:
 
 
 def test_what_is_compiled_ahead_is_what_a_gradient_calls() -> None:
-    make_scene(n=5, dtype=torch.float32).render("numba").rgb.sum().backward()
-    known = list(project_backward_part.signatures)
-    project.compile_last()
-    assert list(project_backward_part.signatures) == known and len(known) == 1
+    for covariances in (False, True):
+        make_scene(n=5, dtype=torch.float32, covariances=covariances).render("numba").rgb.sum().backward()
+        known = list(project_backward_part.signatures)
+        project.compile_last(covariances)
+        assert list(project_backward_part.signatures) == known
+    assert len(known) == 2
+
+
+COMPILED = """
+from numba.core import event
+from occfusion.splat.backends.numba.project import compile_last
+
+class Names(event.Listener):
+    def on_start(self, begun):
+        print(begun.data["dispatcher"].py_func.__name__)
+    def on_end(self, ended):
+        pass
+
+event.register("numba:compile", Names())
+compile_last({of_covariances})
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("of_covariances", [False, True])
+def test_what_no_shape_asks_for_is_not_compiled(tmp_path: Path, of_covariances: bool) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    told = subprocess.run(
+        [sys.executable, "-c", COMPILED.format(of_covariances=of_covariances)], env=environment,
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    of_each = {"plane_from_root", "root_gradient"}, {"plane_from_covariance", "covariance_gradient"}
+    compiled = set(told.stdout.split())
+    assert "project_backward_part" in compiled
+    assert of_each[of_covariances] <= compiled and not of_each[not of_covariances] & compiled
 
 
 def test_what_compiles_it_loads_no_torch() -> None:
     told = subprocess.run(
-        [sys.executable, "-c", f"{ahead.PROGRAM}import sys\nprint('torch' in sys.modules)"],
+        [sys.executable, "-c", f"{ahead.PROGRAM.format(of_covariances=True)}import sys\nprint('torch' in sys.modules)"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert told.stdout.strip() == "False"
@@ -267,7 +298,7 @@ import torch
 from splat_scenes import make_scene
 from occfusion.splat.backends.numba import ahead
 started, start = [], ahead.start
-ahead.start = lambda: (start(), started.extend(ahead._helpers))
+ahead.start = lambda program: (start(program), started.extend(ahead._helpers))
 {before}
 make_scene(n=5, dtype=torch.float32).render("numba").rgb.sum().backward()
 from occfusion.splat.backends.numba import blend

@@ -20,8 +20,9 @@ from occfusion.splat.backends.numba.project import project_backward_part
 
 PROGRAM = """
 from occfusion.splat.backends.numba.project import compile_last
-compile_last()
+compile_last({of_covariances})
 """
+"""Compiles the last kernel, for shapes that are covariances or for those that are not."""
 
 COMPILES_AHEAD = "OCCFUSION_COMPILES_AHEAD"
 """Set in the environment of the second process, which starts no third one."""
@@ -30,11 +31,11 @@ _helpers: list[subprocess.Popen[bytes]] = []
 """The process that compiles, while it runs."""
 
 
-def start(program: str | None = None) -> None:
+def start(program: str) -> None:
     """Starts the second process where it would help: once, with a second core, with nothing in the cache.
 
     Args:
-        program: what it runs; None: what compiles the last kernel.
+        program: what it runs, in Python.
     """
     kernel: Any = project_backward_part
     if _helpers or COMPILES_AHEAD in os.environ or kernel.signatures or is_cached(kernel):
@@ -44,7 +45,7 @@ def start(program: str | None = None) -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), COMPILES_AHEAD: "1"}
     _helpers.append(
         subprocess.Popen(
-            [sys.executable, "-c", program or PROGRAM], env=environment,
+            [sys.executable, "-c", program], env=environment,
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )
     )  # fmt: skip
@@ -59,8 +60,8 @@ def wait() -> None:
 def is_cached(kernel: Any) -> bool:
     """Returns whether the cache has an index of a kernel that is no older than its source.
 
-    A guess: the index may be another processor's. True as well where compiled code cannot be cached, since a second
-    process could leave its work nowhere.
+    A guess: the index may be another processor's, or that of the other kind of shapes. True as well where compiled code
+    cannot be cached, since a second process could leave its work nowhere.
     """
     function, folder = kernel.py_func, kernel.stats.cache_path
     if folder is None:

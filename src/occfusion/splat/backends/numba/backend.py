@@ -39,12 +39,12 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Inputs:
-    """The inputs as arrays; what is absent has no rows."""
+    """The inputs as arrays. Shapes that are absent are None; absent offsets have no rows."""
 
     means: Array
-    quats: Array
-    scales: Array
-    covariances: Array
+    quats: Array | None
+    scales: Array | None
+    covariances: Array | None
     opacities: Array
     colors: Array
     offsets: Array
@@ -85,9 +85,9 @@ def inputs_of(request: Request) -> Inputs:
     limits = request.limits
     return Inputs(
         means=rows_of(request.means),
-        quats=rows_of(request.quats, 4),
-        scales=rows_of(request.scales, 3),
-        covariances=rows_of(request.covariances, 3, 3),
+        quats=None if request.quats is None else array_of(request.quats),
+        scales=None if request.scales is None else array_of(request.scales),
+        covariances=None if request.covariances is None else array_of(request.covariances),
         opacities=rows_of(request.opacities),
         colors=rows_of(request.colors.flatten(1)),
         offsets=rows_of(request.screen_offsets, 2),
@@ -116,6 +116,7 @@ def pack_camera(request: Request) -> Array:
 
 
 GRADIENTS = ("means", "quats", "scales", "covariances", "opacities", "colors", "offsets")
+NO_ROWS: dict[str, tuple[int, ...]] = {"quats": (0, 4), "scales": (0, 3), "covariances": (0, 3, 3)}
 COLORS = GRADIENTS.index("colors")
 
 
@@ -139,7 +140,8 @@ def pair_gradients(
 
 def gaussian_gradients(needed: Any, inputs: Inputs, tape: Tape, pair_slots: Array) -> list[Tensor | None]:
     """Returns the gradients of the eight inputs from means to viewmat; None for those not needed."""
-    shapes: list[tuple[int, ...]] = [getattr(inputs, name).shape for name in GRADIENTS]
+    given = [getattr(inputs, name) for name in GRADIENTS]
+    shapes = [NO_ROWS[name] if a is None else a.shape for name, a in zip(GRADIENTS, given, strict=True)]
     results: list[Tensor | None] = []
     for name, shape, need in zip(GRADIENTS, shapes, needed, strict=False):
         make = torch.empty if name == "colors" else torch.zeros  # colours, the largest, are written in full
@@ -233,7 +235,7 @@ class _Rasterize(torch.autograd.Function):
     def forward(ctx, *inputs):  # type: ignore[no-untyped-def]
         *tensors, request = inputs
         if any(ctx.needs_input_grad):
-            ahead.start()
+            ahead.start(ahead.PROGRAM.format(of_covariances=request.covariances is not None))
         tape, rgb, alpha, depth, radii = _forward(request, inputs_of(request))
         ctx.save_for_backward(*tensors, alpha, depth)
         ctx.tape, ctx.request = tape, request

@@ -136,8 +136,8 @@ def first_and_last(low: float, high: float, size: int, most: int) -> tuple[int, 
 
     Pixel centres are at whole numbers here. Empty when first > last.
     """
-    first = max(np.ceil(low - SLACK), 0.0)
-    last = min(np.floor(high + SLACK), float(most * size + size - 1))
+    first = np.maximum(np.ceil(low - SLACK), 0.0)
+    last = np.minimum(np.floor(high + SLACK), float(most * size + size - 1))
     if not (first <= last):
         return 1, 0
     return int(first) // size, int(last) // size

@@ -116,7 +116,7 @@ def blend_part(
                 for place in range(first, end):
                     blended[place] = 0
                 break
-            count = min(GROUP, end - first)
+            count = np.minimum(GROUP, end - first)
             fetch_group(splats, entries, first, count, group)
             reached_blocks(group, left, top, shapes, reached)
             for k in range(count):
@@ -174,8 +174,8 @@ def place_of(x: int, y: int) -> int:
 def write_tile(p: Any, background: Any, tile_x: int, tile_y: int, rgb: Any, alpha: Any, depth: Any) -> None:
     """Writes the lanes of a tile to the pixels of the picture that it covers."""
     height, width = alpha.shape
-    for y in range(min(TILE_HEIGHT, height - tile_y)):
-        for x in range(min(TILE_WIDTH, width - tile_x)):
+    for y in range(np.minimum(TILE_HEIGHT, height - tile_y)):
+        for x in range(np.minimum(TILE_WIDTH, width - tile_x)):
             i = place_of(x, y)
             covered = p[P_COVERED + i]
             alpha[tile_y + y, tile_x + x] = covered

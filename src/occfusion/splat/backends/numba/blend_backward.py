@@ -73,7 +73,7 @@ def blend_backward_part(
         wanted = blocks_with_gradient(p)
         begin, end = starts[tile], starts[tile + 1]
         for until in range(end, begin, -GROUP):
-            first = max(begin, until - GROUP)
+            first = np.maximum(begin, until - GROUP)
             fetch_group(splats, entries, first, until - first, group)
             for place in range(until - 1, first - 1, -1):
                 slot = slots[entries[place, 1]]
@@ -162,8 +162,8 @@ def load_gradients(
         q = p[block * BLOCK_SIZE :]
         for i in range(P_RED, BLOCK_SIZE):
             q[i] = ZERO
-    for y in range(min(TILE_HEIGHT, height - tile_y)):
-        for x in range(min(TILE_WIDTH, width - tile_x)):
+    for y in range(np.minimum(TILE_HEIGHT, height - tile_y)):
+        for x in range(np.minimum(TILE_WIDTH, width - tile_x)):
             i = place_of(x, y)
             py, px = tile_y + y, tile_x + x
             covered = ZERO
@@ -220,7 +220,7 @@ def blend_colors_backward_part(
         wanted = blocks_with_gradient(p)
         begin, end = starts[tile], starts[tile + 1]
         for until in range(end, begin, -GROUP):
-            first = max(begin, until - GROUP)
+            first = np.maximum(begin, until - GROUP)
             fetch_group(splats, entries, first, until - first, group)
             for place in range(until - 1, first - 1, -1):
                 slot = slots[entries[place, 1]]

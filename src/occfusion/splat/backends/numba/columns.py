@@ -54,19 +54,27 @@ local_rows = local_array((PART,), np.int64)
 
 
 @step
-def load(i: int, k: int, means: Any, quats: Any, scales: Any, covariances: Any, v: Any) -> None:
-    """Copies centre and shape of Gaussian i to place k of the columns."""
+def load_centre(i: int, k: int, means: Any, v: Any) -> None:
+    """Copies the centre of Gaussian i to place k of the columns."""
     for j in range(3):
         v[WX + j, k] = means[i, j]
-    if covariances.shape[0] > 0:
-        six = symmetric_part(covariances, i)
-        for j in range(6):
-            v[SHAPE + j, k] = six[j]
-    else:
-        for j in range(4):
-            v[SHAPE + j, k] = quats[i, j]
-        for j in range(3):
-            v[SHAPE + 4 + j, k] = scales[i, j]
+
+
+@step
+def load_covariance(i: int, k: int, covariances: Any, v: Any) -> None:
+    """Copies the shape of Gaussian i to place k of the columns, where it is a covariance."""
+    six = symmetric_part(covariances, i)
+    for j in range(6):
+        v[SHAPE + j, k] = six[j]
+
+
+@step
+def load_root(i: int, k: int, quats: Any, scales: Any, v: Any) -> None:
+    """Copies the shape of Gaussian i to place k of the columns, where it is a quaternion and scales."""
+    for j in range(4):
+        v[SHAPE + j, k] = quats[i, j]
+    for j in range(3):
+        v[SHAPE + 4 + j, k] = scales[i, j]
 
 
 @inline
@@ -108,20 +116,23 @@ def rows_of(v: Any, k: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 @step
-def flatten(has_covariances: bool, v: Any) -> None:
-    """Fills the columns of the projected covariance."""
-    if has_covariances:
-        for k in range(PART):
-            row_x, row_y = rows_of(v, k)
-            v[A, k], v[B, k], v[C, k], v[FLAT, k] = plane_from_covariance(row_x, row_y, covariance_of(v, k))
-    else:
-        for k in range(PART):
-            row_x, row_y = rows_of(v, k)
-            w, x, y, z, _ = quaternion_of(v, k)
-            sx, sy, sz = scales_of(v, k)
-            v[A, k], v[B, k], v[C, k], v[FLAT, k] = plane_from_root(
-                row_x, row_y, rotation_of(w, x, y, z), sx, sy, sz
-            )
+def flatten_covariance(v: Any) -> None:
+    """Fills the columns of the projected covariance, where shapes are covariances."""
+    for k in range(PART):
+        row_x, row_y = rows_of(v, k)
+        v[A, k], v[B, k], v[C, k], v[FLAT, k] = plane_from_covariance(row_x, row_y, covariance_of(v, k))
+
+
+@step
+def flatten_root(v: Any) -> None:
+    """Fills the columns of the projected covariance, where shapes are quaternions and scales."""
+    for k in range(PART):
+        row_x, row_y = rows_of(v, k)
+        w, x, y, z, _ = quaternion_of(v, k)
+        sx, sy, sz = scales_of(v, k)
+        v[A, k], v[B, k], v[C, k], v[FLAT, k] = plane_from_root(
+            row_x, row_y, rotation_of(w, x, y, z), sx, sy, sz
+        )
 
 
 @step
@@ -163,9 +174,10 @@ def shuffle(source: Any, target: Any) -> None:
     """Writes the numbers of the two halves of `source`, row after row, to `target` in turn; both are square."""
     half = BASIS_SIZE // 2
     for j in range(half):
+        near, far, even, odd = source[j], source[half + j], target[2 * j], target[2 * j + 1]
         for k in range(half):
-            target[2 * j, 2 * k], target[2 * j, 2 * k + 1] = source[j, k], source[half + j, k]
-            target[2 * j + 1, 2 * k], target[2 * j + 1, 2 * k + 1] = source[j, half + k], source[half + j, half + k]
+            even[2 * k], even[2 * k + 1] = near[k], far[k]
+            odd[2 * k], odd[2 * k + 1] = near[half + k], far[half + k]
 
 
 # Columns that only this pass has: the sums over pairs in their order, the splat's factor, and gradients.
@@ -261,29 +273,32 @@ def unfactorize(dilation: float, antialiased: bool, v: Any) -> None:
 
 
 @step
-def unflatten(has_covariances: bool, v: Any) -> None:
-    """Fills the columns of the gradients of shape and affine rows."""
-    if has_covariances:
-        for k in range(PART):
-            row_x, row_y = rows_of(v, k)
-            g_cov, g_row_x, g_row_y = covariance_gradient(
-                row_x, row_y, covariance_of(v, k), v[G_A, k], v[G_B, k], v[G_C, k]
-            )
-            for j in range(6):
-                v[G_SHAPE + j, k] = g_cov[j]
-            for j in range(3):
-                v[G_ROW_X + j, k], v[G_ROW_Y + j, k] = g_row_x[j], g_row_y[j]
-    else:
-        for k in range(PART):
-            row_x, row_y = rows_of(v, k)
-            g_quats, g_scales, g_row_x, g_row_y = root_gradient(
-                row_x, row_y, quaternion_of(v, k), scales_of(v, k), v[G_A, k], v[G_B, k], v[G_C, k]
-            )
-            for j in range(4):
-                v[G_SHAPE + j, k] = g_quats[j]
-            for j in range(3):
-                v[G_SHAPE + 4 + j, k] = g_scales[j]
-                v[G_ROW_X + j, k], v[G_ROW_Y + j, k] = g_row_x[j], g_row_y[j]
+def unflatten_covariance(v: Any) -> None:
+    """Fills the columns of the gradients of shape and affine rows, where shapes are covariances."""
+    for k in range(PART):
+        row_x, row_y = rows_of(v, k)
+        g_cov, g_row_x, g_row_y = covariance_gradient(
+            row_x, row_y, covariance_of(v, k), v[G_A, k], v[G_B, k], v[G_C, k]
+        )
+        for j in range(6):
+            v[G_SHAPE + j, k] = g_cov[j]
+        for j in range(3):
+            v[G_ROW_X + j, k], v[G_ROW_Y + j, k] = g_row_x[j], g_row_y[j]
+
+
+@step
+def unflatten_root(v: Any) -> None:
+    """Fills the columns of the gradients of shape and affine rows, where shapes are quaternions and scales."""
+    for k in range(PART):
+        row_x, row_y = rows_of(v, k)
+        g_quats, g_scales, g_row_x, g_row_y = root_gradient(
+            row_x, row_y, quaternion_of(v, k), scales_of(v, k), v[G_A, k], v[G_B, k], v[G_C, k]
+        )
+        for j in range(4):
+            v[G_SHAPE + j, k] = g_quats[j]
+        for j in range(3):
+            v[G_SHAPE + 4 + j, k] = g_scales[j]
+            v[G_ROW_X + j, k], v[G_ROW_Y + j, k] = g_row_x[j], g_row_y[j]
 
 
 @step
@@ -326,8 +341,8 @@ def add_to_camera(count: int, camera: Any, v: Any, g_rows: Any) -> None:
     for k in range(count):
         inverse_z = 1 / v[Z, k]
         kx, ky = camera[12] * inverse_z, camera[13] * inverse_z
-        slope_x = min(max(v[X, k] * inverse_z, camera[16]), camera[17])
-        slope_y = min(max(v[Y, k] * inverse_z, camera[18]), camera[19])
+        slope_x = np.minimum(np.maximum(v[X, k] * inverse_z, camera[16]), camera[17])
+        slope_y = np.minimum(np.maximum(v[Y, k] * inverse_z, camera[18]), camera[19])
         g_x, g_y, g_z = v[G_X, k], v[G_Y, k], v[G_Z, k]
         for j in range(3):
             w, g_row_x, g_row_y = v[WX + j, k], kx * v[G_ROW_X + j, k], ky * v[G_ROW_Y + j, k]

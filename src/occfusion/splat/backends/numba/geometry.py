@@ -29,7 +29,7 @@ from occfusion.splat.limits import QUATERNION_FLOOR
 @inline
 def unit_quaternion(w: float, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
     """Returns w, x, y, z of length 1 and the inverse of the length it had; 0 for no rotation."""
-    is_none = max(abs(w), abs(x), abs(y), abs(z)) < QUATERNION_FLOOR
+    is_none = np.maximum(np.maximum(abs(w), abs(x)), np.maximum(abs(y), abs(z))) < QUATERNION_FLOOR
     inverse = 1.0 / math.sqrt(1.0 if is_none else w * w + x * x + y * y + z * z)
     inverse = 0.0 if is_none else inverse
     return (1.0 if is_none else w * inverse), x * inverse, y * inverse, z * inverse, inverse
@@ -49,8 +49,8 @@ def rotation_of(w: float, x: float, y: float, z: float) -> tuple[float, ...]:
 def affine_of(camera: Any, x: float, y: float, z: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Returns the two rows of Jacobian times view rotation; `camera` is by `pack_camera`."""
     inverse_z = 1 / z
-    slope_x = min(max(x * inverse_z, camera[16]), camera[17])
-    slope_y = min(max(y * inverse_z, camera[18]), camera[19])
+    slope_x = np.minimum(np.maximum(x * inverse_z, camera[16]), camera[17])
+    slope_y = np.minimum(np.maximum(y * inverse_z, camera[18]), camera[19])
     kx, ky = camera[12] * inverse_z, camera[13] * inverse_z
     row_x = (
         kx * (camera[0] - slope_x * camera[6]),
@@ -108,10 +108,10 @@ def plane_from_covariance(
     """Returns a, b, c and the determinant of the projected covariance; `cov` is by `symmetric_part`."""
     xx, yy, zz, xy, xz, yz = cov
     sq0, sq1, sq2 = dot(row_y, xx, xy, xz), dot(row_y, xy, yy, yz), dot(row_y, xz, yz, zz)
-    a = max(dot(row_x, dot(row_x, xx, xy, xz), dot(row_x, xy, yy, yz), dot(row_x, xz, yz, zz)), 0.0)
+    a = np.maximum(dot(row_x, dot(row_x, xx, xy, xz), dot(row_x, xy, yy, yz), dot(row_x, xz, yz, zz)), 0.0)
     b = dot(row_x, sq0, sq1, sq2)
-    c = max(dot(row_y, sq0, sq1, sq2), 0.0)
-    return a, b, c, max(a * c - b * b, 0.0)
+    c = np.maximum(dot(row_y, sq0, sq1, sq2), 0.0)
+    return a, b, c, np.maximum(a * c - b * b, 0.0)
 
 
 @inline

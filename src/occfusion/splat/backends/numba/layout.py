@@ -20,8 +20,6 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array, populate_array
 
-from occfusion.cpu.compilation import inline
-
 BLOCK_BITS = 2
 BLOCK = 1 << BLOCK_BITS
 LANES = BLOCK * BLOCK
@@ -89,7 +87,9 @@ def local_array(shape: tuple[int, ...], dtype: Any) -> Any:
 
             memory = cgutils.alloca_once(builder, context.get_data_type(kind.dtype), size=math.prod(shape))
             made = make_array(kind)(context, builder)
-            populate_array(made, memory, sizes(shape), sizes(strides), sizes([dtype.itemsize])[0], meminfo=None)
+            populate_array(
+                made, memory, sizes(shape), sizes(strides), sizes([dtype.itemsize])[0], meminfo=None
+            )
             return made._getvalue()
 
         return kind(), generate

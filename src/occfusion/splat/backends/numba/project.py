@@ -40,15 +40,19 @@ from occfusion.splat.backends.numba.columns import (
     clamp_colors,
     face,
     fill,
-    flatten,
-    load,
+    flatten_covariance,
+    flatten_root,
+    load_centre,
+    load_covariance,
+    load_root,
     local_rows,
     local_table,
     see,
     spread_basis,
     unface,
     unfactorize,
-    unflatten,
+    unflatten_covariance,
+    unflatten_root,
     unsee,
     write_colors,
     write_symmetric,
@@ -121,7 +125,8 @@ def project_part(
 ) -> None:  # fmt: skip
     """Writes a row of `splats` `[N, 16]` and of `radii` for each visible Gaussian; REACH is 0 for the others.
 
-    Absent inputs have no rows; `colors` are `[N, 3 K]`. `window` is the range of pixel centres wanted (x0, x1, y0, y1);
+    Shapes are `covariances`, or `quats` and `scales`; the others are None, and nothing is compiled for them. Absent
+    offsets have no rows; `colors` are `[N, 3 K]`. `window` is the range of pixel centres wanted (x0, x1, y0, y1);
     `options` is (near, dilation, alpha_min, antialiased); `degree` is -1 for plain colours.
     """
     n = means.shape[0]
@@ -132,14 +137,19 @@ def project_part(
     fill(v)
     for begin in range(part * PART, n, parts * PART):
         count = 0
-        for i in range(begin, min(n, begin + PART)):
+        for i in range(begin, np.minimum(n, begin + PART)):
             splats[i, REACH] = 0
             z = camera[6] * means[i, 0] + camera[7] * means[i, 1] + camera[8] * means[i, 2] + camera[11]
             opacity = opacities[i]
             if not (z > near) or not (opacity > alpha_min):
                 continue
             rows[count] = i
-            load(i, count, means, quats, scales, covariances, v)
+            load_centre(i, count, means, v)
+            # two questions: what asks for an argument that is None is left out, an `else` would not be
+            if covariances is not None:
+                load_covariance(i, count, covariances, v)
+            if quats is not None:
+                load_root(i, count, quats, scales, v)
             v[OPACITY, count] = opacity
             if offsets.shape[0] > 0:
                 v[MX, count], v[MY, count] = offsets[i, 0], offsets[i, 1]
@@ -147,7 +157,10 @@ def project_part(
         if count == 0:
             continue
         see(camera, v)
-        flatten(covariances.shape[0] > 0, v)
+        if covariances is not None:
+            flatten_covariance(v)
+        if quats is not None:
+            flatten_root(v)
         centre(offsets.shape[0] > 0, camera, v)
         fade(count, dilation, antialiased, v)
         factorize(dilation, log_alpha_min, v)
@@ -187,9 +200,9 @@ def project_part(
                 red += basis[j, k] * row[3 * j]
                 green += basis[j, k] * row[3 * j + 1]
                 blue += basis[j, k] * row[3 * j + 2]
-            splat[RED] = max(red, np.float32(0))
-            splat[GREEN] = max(green, np.float32(0))
-            splat[BLUE] = max(blue, np.float32(0))
+            splat[RED] = np.maximum(red, np.float32(0))
+            splat[GREEN] = np.maximum(green, np.float32(0))
+            splat[BLUE] = np.maximum(blue, np.float32(0))
 
 
 @step
@@ -210,7 +223,7 @@ def fade(count: int, dilation: float, antialiased: bool, v: Any) -> None:
         for k in range(PART):
             flat = v[FLAT, k]
             det = flat + dilation * (v[A, k] + v[C, k]) + dilation * dilation
-            v[OPACITY, k] *= math.sqrt(max(flat / det, COMPENSATION_FLOOR))
+            v[OPACITY, k] *= math.sqrt(np.maximum(flat / det, COMPENSATION_FLOOR))
     for k in range(count):
         v[F_LOG, k] = math.log(v[OPACITY, k])
 
@@ -246,8 +259,9 @@ def project_backward_part(
 ) -> None:  # fmt: skip
     """Writes the gradients of the visible Gaussians; a gradient that nobody asked for has no rows.
 
-    `colors` and their gradient are `[N, 3 K]`. `slots` `[N + 1]` delimits the rows of `pair_slots` of each.
-    `g_camera` `[pieces, 12]`, zeros, gets that of rotation and translation, one row for every `PART` Gaussians.
+    Shapes are as in `project_part`. `colors` and their gradient are `[N, 3 K]`. `slots` `[N + 1]` delimits the rows of
+    `pair_slots` of each. `g_camera` `[pieces, 12]`, zeros, gets that of rotation and translation, one row for every
+    `PART` Gaussians.
     """
     dilation, antialiased = options[1], options[3] != 0
     wants_place = wants_camera or g_means.shape[0] > 0
@@ -259,7 +273,7 @@ def project_backward_part(
     fill(v)
     for begin in range(part * PART, n, parts * PART):
         count = 0
-        for i in range(begin, min(n, begin + PART)):
+        for i in range(begin, np.minimum(n, begin + PART)):
             sums = sum_pairs(pair_slots, slots[i], slots[i + 1])
             seen = False
             for j in range(10):
@@ -273,7 +287,11 @@ def project_backward_part(
             rows[count] = i
             splat = splats[i]
             v[V_L1, count], v[V_M, count], v[V_L2, count] = splat[L1], splat[M], splat[L2]
-            load(i, count, means, quats, scales, covariances, v)
+            load_centre(i, count, means, v)
+            if covariances is not None:
+                load_covariance(i, count, covariances, v)
+            if quats is not None:
+                load_root(i, count, quats, scales, v)
             count += 1
         if count == 0:
             continue
@@ -304,20 +322,26 @@ def project_backward_part(
         if not wants_shape:
             continue
         see(camera, v)
-        flatten(covariances.shape[0] > 0, v)
+        if covariances is not None:
+            flatten_covariance(v)
+        if quats is not None:
+            flatten_root(v)
         unfactorize(dilation, antialiased, v)
-        unflatten(covariances.shape[0] > 0, v)
-        if g_covariances.shape[0] > 0:
-            for k in range(count):
-                write_symmetric(v, k, g_covariances[rows[k]])
-        if g_quats.shape[0] > 0:
-            for k in range(count):
-                for j in range(4):
-                    g_quats[rows[k], j] = v[G_SHAPE + j, k]
-        if g_scales.shape[0] > 0:
-            for k in range(count):
-                for j in range(3):
-                    g_scales[rows[k], j] = v[G_SHAPE + 4 + j, k]
+        if covariances is not None:
+            unflatten_covariance(v)
+            if g_covariances.shape[0] > 0:
+                for k in range(count):
+                    write_symmetric(v, k, g_covariances[rows[k]])
+        if quats is not None:
+            unflatten_root(v)
+            if g_quats.shape[0] > 0:
+                for k in range(count):
+                    for j in range(4):
+                        g_quats[rows[k], j] = v[G_SHAPE + j, k]
+            if g_scales.shape[0] > 0:
+                for k in range(count):
+                    for j in range(3):
+                        g_scales[rows[k], j] = v[G_SHAPE + 4 + j, k]
         if not wants_place:
             continue
         unsee(camera, v)
@@ -332,17 +356,21 @@ def project_backward_part(
             add_to_camera(count, camera, v, g_camera[begin // PART])
 
 
-def compile_last() -> None:
+def compile_last(of_covariances: bool) -> None:
     """Compiles what a gradient needs last, or loads it from the cache: by the gradients of no Gaussians.
 
     Torch is not loaded for it, so that a second process begins to compile a second sooner.
+
+    Args:
+        of_covariances: for Gaussians whose shapes are covariances; else quaternions and scales.
     """
 
     def none(*tail: int) -> Any:
         return np.empty((0, *tail), np.float32)
 
-    gaussians = (none(3), none(4), none(3), none(3, 3), none(), none(3))
+    shapes = (None, None, none(3, 3)) if of_covariances else (none(4), none(3), None)
     project_backward_part(
-        *gaussians, np.zeros(23), np.zeros(4), 0, none(SPLAT_SIZE), np.zeros(1, np.int32), none(GRADIENT_SIZE),
-        *gaussians, none(2), np.zeros((0, 12)), True, 0, 1,
+        none(3), *shapes, none(), none(3), np.zeros(23), np.zeros(4), 0,
+        none(SPLAT_SIZE), np.zeros(1, np.int32), none(GRADIENT_SIZE),
+        none(3), none(4), none(3), none(3, 3), none(), none(3), none(2), np.zeros((0, 12)), True, 0, 1,
     )  # fmt: skip
