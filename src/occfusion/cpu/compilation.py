@@ -5,6 +5,9 @@ interleaved parts of the work. Compared with numba's own `prange` that compiles 
 time, needs no threading layer (so there is nothing to clash with the one of torch), and the parts,
 hence every rounding, are the same for any number of threads.
 
+What takes time to compile is left out: wrappers that nobody calls, branches for arguments that are None, and Python's
+`min` and `max`, which are compiled for every kind of numbers; numpy's `minimum` and `maximum` are written in place.
+
 Compiled code is cached beside these files, or where that is read-only in numba's user cache;
 `NUMBA_CACHE_DIR` overrides both.
 """

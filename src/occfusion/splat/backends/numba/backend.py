@@ -80,14 +80,19 @@ def rows_of(tensor: Tensor | None, *tail: int) -> Array:
     return np.empty((0, *tail), np.float32) if tensor is None else array_of(tensor)
 
 
+def shape_of(tensor: Tensor | None) -> Array | None:
+    """Returns the tensor's memory as an array, None when there is none: then nothing is compiled for it."""
+    return None if tensor is None else array_of(tensor)
+
+
 def inputs_of(request: Request) -> Inputs:
     """Returns a request's inputs; memory is shared where it lies in one piece."""
     limits = request.limits
     return Inputs(
         means=rows_of(request.means),
-        quats=None if request.quats is None else array_of(request.quats),
-        scales=None if request.scales is None else array_of(request.scales),
-        covariances=None if request.covariances is None else array_of(request.covariances),
+        quats=shape_of(request.quats),
+        scales=shape_of(request.scales),
+        covariances=shape_of(request.covariances),
         opacities=rows_of(request.opacities),
         colors=rows_of(request.colors.flatten(1)),
         offsets=rows_of(request.screen_offsets, 2),
