@@ -46,6 +46,7 @@ TITLES = {
 }
 BEGUN, ENDED = "<!-- measured -->", "<!-- /measured -->"
 ROUNDS, BLOCK = 2, 16
+ONE_THREAD = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def measure_missing(work: Path) -> None:
     revision = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True, cwd=ROOT
     ).stdout.strip()
-    one_thread = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    one_thread = {**os.environ, **dict.fromkeys(ONE_THREAD, "1")}
     for axis, amounts in AXES.items():
         for amount in amounts:
             wanted = {**USUAL, axis: amount}
