@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import os
 import resource
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
+
+MAP_FROM = -3
+"""M_MMAP_THRESHOLD of glibc's `mallopt`."""
+
+APART, USUAL = 8 << 20, 32 << 20
+"""Bytes from which blocks are apart; and otherwise: what glibc comes to by itself where large blocks are freed."""
 
 
 def peak_memory_mb() -> float:
@@ -33,3 +42,20 @@ def trim_memory() -> None:
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's
         if trim is not None:
             trim(0)
+
+
+@contextmanager
+def large_blocks_apart() -> Iterator[None]:
+    """Keeps large blocks of memory out of the heap, where the C library can and the user has not said otherwise.
+
+    Freed, they are the system's at once. In the heap, blocks of ever other sizes leave holes that nothing fits into.
+    """
+    change = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if change is None or "MALLOC_MMAP_THRESHOLD_" in os.environ:
+        yield
+        return
+    change(MAP_FROM, APART)
+    try:
+        yield
+    finally:
+        change(MAP_FROM, USUAL)

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from occfusion.cpu.memory import trim_memory
+from occfusion.cpu.memory import large_blocks_apart, trim_memory
 from occfusion.cpu.workers import threaded_map
 from occfusion.errors import ConfigError
 from occfusion.files.run_folder import FIGURES, REGIONS
@@ -116,10 +116,11 @@ def evaluate_frames(
 
     workers = torch.get_num_threads() if first[0].rgb.device.type == "cpu" else 1
     found: list[ImageRow] = []
-    for number, rows in enumerate(threaded_map(rows_of, chain([first], rendered), workers)):
-        found += rows
-        if number % TRIMMED_EVERY == 0:
-            trim_memory()
+    with large_blocks_apart():
+        for number, rows in enumerate(threaded_map(rows_of, chain([first], rendered), workers)):
+            found += rows
+            if number % TRIMMED_EVERY == 0:
+                trim_memory()
     return found
 
 
